@@ -1,0 +1,1 @@
+"""What every service shares: the contract on the bus, the loop, the equations."""

@@ -1,0 +1,1 @@
+"""The three services; each imports only `common`, never another service."""

@@ -1,0 +1,1 @@
+"""From traffic histories to predicted paths: objects in, prediction out."""

@@ -1,0 +1,1 @@
+"""From predicted paths to the risk volume M: prediction in, risk out."""

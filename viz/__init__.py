@@ -1,0 +1,1 @@
+"""Zenoh to Rerun: what the services see and decide, live and as recordings."""
