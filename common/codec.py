@@ -62,7 +62,9 @@ def encode_body(topic: Topic, message: Message) -> tuple[bytes, dict[str, Any] |
         payload = b"".join((_contiguous(message.volume).data, _contiguous(message.dominant).data))
         body = {k: v for k, v in fields.items() if k != "dominant"}
     else:
-        payload = cast(bytes, msgpack.packb(msgspec.to_builtins(message, enc_hook=_pack_array, builtin_types=(bytes,))))
+        payload = cast(
+            bytes, msgpack.packb(msgspec.to_builtins(message, enc_hook=_pack_array, builtin_types=(bytes,)))
+        )
         body = None
     if len(payload) > topic.max_bytes:
         raise RefusedError("too_large", f"{len(payload)} bytes, at most {topic.max_bytes}")
@@ -87,7 +89,9 @@ def decode_header(topic: Topic, attachment: bytes | None) -> Header:
     if header.schema != topic.name:
         raise RefusedError("schema", f"{header.schema!r} on {topic.suffix!r}")
     if header.version[0] != VERSION_MAJOR:
-        raise RefusedError("version", f"{header.version[0]}.{header.version[1]}, this side speaks {VERSION_MAJOR}.x")
+        raise RefusedError(
+            "version", f"{header.version[0]}.{header.version[1]}, this side speaks {VERSION_MAJOR}.x"
+        )
     return header
 
 
@@ -107,7 +111,9 @@ def decode_body(topic: Topic, header: Header, payload: bytes) -> Message:
         if isinstance(inner, RefusedError):
             raise RefusedError(inner.reason, str(e)) from None
         text = str(e)
-        raise RefusedError("range" if ("<=" in text or ">=" in text or "`>" in text) else "type", text) from None
+        raise RefusedError(
+            "range" if ("<=" in text or ">=" in text or "`>" in text) else "type", text
+        ) from None
     except OverflowError as e:
         raise RefusedError("range", str(e)) from None
     check(message)
@@ -162,7 +168,11 @@ def _read_array(kind: type, value: Any) -> Any:
 def _from_bytes(dtype: Any, shape: Any, data: Any) -> np.ndarray[Any, Any]:
     if not isinstance(dtype, str) or dtype not in _DTYPES:
         raise _hooked("dtype", f"{dtype!r:.40}")
-    if not isinstance(shape, list) or len(shape) > 4 or not all(type(n) is int and 0 <= n < 2**32 for n in shape):
+    if (
+        not isinstance(shape, list)
+        or len(shape) > 4
+        or not all(type(n) is int and 0 <= n < 2**32 for n in shape)
+    ):
         raise _hooked("shape", f"{shape!r:.60}")
     if not isinstance(data, bytes | memoryview):
         raise _hooked("type", "array data must be binary")
@@ -189,12 +199,18 @@ def _risk_fields(header: Header, payload: bytes) -> dict[str, Any]:
     dtype, shape = volume.get("dtype"), volume.get("shape")
     if not isinstance(dtype, str) or dtype not in ("<f2", "<f4"):
         raise RefusedError("dtype", f"volume {dtype!r:.40}")
-    if not isinstance(shape, list) or len(shape) != 3 or not all(type(n) is int and 0 < n < 2**20 for n in shape):
+    if (
+        not isinstance(shape, list)
+        or len(shape) != 3
+        or not all(type(n) is int and 0 < n < 2**20 for n in shape)
+    ):
         raise RefusedError("shape", f"volume {shape!r:.60}")
     size = math.prod(shape) * np.dtype(dtype).itemsize
     blocks = [shape[0], -(-shape[1] // BLOCK), -(-shape[2] // BLOCK)]
     if size + math.prod(blocks) != len(payload):
-        raise RefusedError("shape", f"volume {shape} of {dtype} needs {size + math.prod(blocks)} bytes, got {len(payload)}")
+        raise RefusedError(
+            "shape", f"volume {shape} of {dtype} needs {size + math.prod(blocks)} bytes, got {len(payload)}"
+        )
     raw = memoryview(payload)
     return {
         **body,
@@ -228,7 +244,7 @@ def _holds_struct(hint: Any) -> bool:
 
 def _check_struct(struct: Any, path: str) -> None:
     bound: dict[str, int] = {}
-    for name, spec in _array_fields(type(struct)).items():
+    for name, spec in _array_fields(cast(Any, type(struct))).items():
         value = getattr(struct, name)
         where = f"{path}.{name}"
         if value is None:
@@ -244,7 +260,9 @@ def _check_struct(struct: Any, path: str) -> None:
 
 def _check_array(value: Any, spec: Array, where: str, bound: dict[str, int]) -> None:
     if not isinstance(value, np.ndarray) or value.dtype.str not in spec.dtypes:
-        raise RefusedError("dtype", f"{where}: {getattr(value, 'dtype', type(value))}, expected {' or '.join(spec.dtypes)}")
+        raise RefusedError(
+            "dtype", f"{where}: {getattr(value, 'dtype', type(value))}, expected {' or '.join(spec.dtypes)}"
+        )
     if value.ndim != len(spec.shape):
         raise RefusedError("shape", f"{where}: {value.shape}, expected {spec.shape}")
     for n, want in zip(value.shape, spec.shape, strict=True):
@@ -279,9 +297,17 @@ def _unpack(data: bytes, reason: str) -> Any:
 
     try:
         unpacked = msgpack.unpackb(
-            data, object_hook=counted, list_hook=counted, ext_hook=no_extension, strict_map_key=True,
-            max_str_len=4096, max_array_len=65536, max_map_len=4096, max_ext_len=0, max_bin_len=len(data),
-        )  # fmt: skip
+            data,
+            object_hook=counted,
+            list_hook=counted,
+            ext_hook=no_extension,
+            strict_map_key=True,
+            max_str_len=4096,
+            max_array_len=65536,
+            max_map_len=4096,
+            max_ext_len=0,
+            max_bin_len=len(data),
+        )
     except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException) as e:
         raise RefusedError(reason, str(e) or type(e).__name__) from None
     if not isinstance(unpacked, dict):

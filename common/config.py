@@ -33,7 +33,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Base of every section: immutable, every key has a default, unknown keys are errors."""
 
 
-def load(path: Path | None = None, settings: Iterable[str] = (), environment: Mapping[str, str] | None = None) -> Tree:
+def load(
+    path: Path | None = None, settings: Iterable[str] = (), environment: Mapping[str, str] | None = None
+) -> Tree:
     """Merge file, environment and `KEY=VALUE` settings into one tree.
 
     Raises:
@@ -45,7 +47,12 @@ def load(path: Path | None = None, settings: Iterable[str] = (), environment: Ma
     tree = _read(path) if path is not None else {}
     for name, value in sorted(env.items()):
         if name.startswith(ENVIRONMENT_PREFIX):
-            _put(tree, name.removeprefix(ENVIRONMENT_PREFIX).lower().split("__"), _value(value), f"variable {name}")
+            _put(
+                tree,
+                name.removeprefix(ENVIRONMENT_PREFIX).lower().split("__"),
+                _value(value),
+                f"variable {name}",
+            )
     for setting in settings:
         key, equals, value = setting.partition("=")
         if not equals or not key.strip():

@@ -112,8 +112,9 @@ class Polyline:
         return Polyline(np.vstack((self.at([s0]), inner, self.at([s1]))))
 
 
-def rectangle_corners(x: npt.ArrayLike, y: npt.ArrayLike, heading: npt.ArrayLike,
-                      length: npt.ArrayLike, width: npt.ArrayLike) -> F64:  # fmt: skip
+def rectangle_corners(
+    x: npt.ArrayLike, y: npt.ArrayLike, heading: npt.ArrayLike, length: npt.ArrayLike, width: npt.ArrayLike
+) -> F64:
     """Corners of rectangles, shape [..., 4, 2]: front left, rear left, rear right, front right."""
     x, y, heading, length, width = np.broadcast_arrays(x, y, heading, length, width)
     c, s = np.cos(heading)[..., None], np.sin(heading)[..., None]
@@ -122,8 +123,15 @@ def rectangle_corners(x: npt.ArrayLike, y: npt.ArrayLike, heading: npt.ArrayLike
     return np.stack((x[..., None] + c * lx - s * ly, y[..., None] + s * lx + c * ly), axis=-1)
 
 
-def distance_to_rectangle(px: npt.ArrayLike, py: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike,
-                          heading: npt.ArrayLike, length: npt.ArrayLike, width: npt.ArrayLike) -> F64:  # fmt: skip
+def distance_to_rectangle(
+    px: npt.ArrayLike,
+    py: npt.ArrayLike,
+    x: npt.ArrayLike,
+    y: npt.ArrayLike,
+    heading: npt.ArrayLike,
+    length: npt.ArrayLike,
+    width: npt.ArrayLike,
+) -> F64:
     """Distance [m] from points to rectangles, 0 inside; all arguments broadcast."""
     dx, dy = np.asarray(px) - x, np.asarray(py) - y
     c, s = np.cos(heading), np.sin(heading)

@@ -64,8 +64,15 @@ class Topic:
         return f"application/msgpack;forefield.{self.name}.v{VERSION_MAJOR}"
 
 
-def _latest(name: str, message: type, rate: tuple[float, float], age: float | None, size: int,
-            priority: Priority, header: int = 4 * KIB) -> Topic:  # fmt: skip
+def _latest(
+    name: str,
+    message: type,
+    rate: tuple[float, float],
+    age: float | None,
+    size: int,
+    priority: Priority,
+    header: int = 4 * KIB,
+) -> Topic:
     return Topic(name, name, message, rate, age, size, header, Delivery.LATEST, priority)
 
 
@@ -82,8 +89,17 @@ PREDICTION = _latest("prediction", messages.Prediction, (8.0, 12.0), 0.3, 4 * MI
 RISK = _latest("risk", messages.Risk, (8.0, 12.0), 0.3, 64 * MIB, Priority.INTERACTIVE_HIGH, 8 * KIB)
 PLAN = _latest("plan", messages.Plan, (18.0, 22.0), 0.3, 4 * MIB, Priority.REAL_TIME)
 STATUS_OF = {
-    service: Topic("status", f"status/{service}", messages.Status, (1.0, 3.0), 2.0, 64 * KIB, 4 * KIB,
-                   Delivery.LATEST, Priority.BACKGROUND)  # fmt: skip
+    service: Topic(
+        "status",
+        f"status/{service}",
+        messages.Status,
+        (1.0, 3.0),
+        2.0,
+        64 * KIB,
+        4 * KIB,
+        Delivery.LATEST,
+        Priority.BACKGROUND,
+    )
     for service in ("predictor", "riskfield", "planner", "viz", "vehicle")
 }
 
