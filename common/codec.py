@@ -62,9 +62,7 @@ def encode_body(topic: Topic, message: Message) -> tuple[bytes, dict[str, Any] |
         payload = b"".join((_contiguous(message.volume).data, _contiguous(message.dominant).data))
         body = {k: v for k, v in fields.items() if k != "dominant"}
     else:
-        payload = cast(
-            bytes, msgpack.packb(msgspec.to_builtins(message, enc_hook=_pack_array, builtin_types=(bytes,)))
-        )
+        payload = cast(bytes, msgpack.packb(msgspec.to_builtins(message, enc_hook=_pack_array, builtin_types=(bytes,))))
         body = None
     if len(payload) > topic.max_bytes:
         raise RefusedError("too_large", f"{len(payload)} bytes, at most {topic.max_bytes}")
@@ -89,9 +87,7 @@ def decode_header(topic: Topic, attachment: bytes | None) -> Header:
     if header.schema != topic.name:
         raise RefusedError("schema", f"{header.schema!r} on {topic.suffix!r}")
     if header.version[0] != VERSION_MAJOR:
-        raise RefusedError(
-            "version", f"{header.version[0]}.{header.version[1]}, this side speaks {VERSION_MAJOR}.x"
-        )
+        raise RefusedError("version", f"{header.version[0]}.{header.version[1]}, this side speaks {VERSION_MAJOR}.x")
     return header
 
 
@@ -111,9 +107,7 @@ def decode_body(topic: Topic, header: Header, payload: bytes) -> Message:
         if isinstance(inner, RefusedError):
             raise RefusedError(inner.reason, str(e)) from None
         text = str(e)
-        raise RefusedError(
-            "range" if ("<=" in text or ">=" in text or "`>" in text) else "type", text
-        ) from None
+        raise RefusedError("range" if ("<=" in text or ">=" in text or "`>" in text) else "type", text) from None
     except OverflowError as e:
         raise RefusedError("range", str(e)) from None
     check(message)
@@ -168,11 +162,7 @@ def _read_array(kind: type, value: Any) -> Any:
 def _from_bytes(dtype: Any, shape: Any, data: Any) -> np.ndarray[Any, Any]:
     if not isinstance(dtype, str) or dtype not in _DTYPES:
         raise _hooked("dtype", f"{dtype!r:.40}")
-    if (
-        not isinstance(shape, list)
-        or len(shape) > 4
-        or not all(type(n) is int and 0 <= n < 2**32 for n in shape)
-    ):
+    if not isinstance(shape, list) or len(shape) > 4 or not all(type(n) is int and 0 <= n < 2**32 for n in shape):
         raise _hooked("shape", f"{shape!r:.60}")
     if not isinstance(data, bytes | memoryview):
         raise _hooked("type", "array data must be binary")
@@ -199,11 +189,7 @@ def _risk_fields(header: Header, payload: bytes) -> dict[str, Any]:
     dtype, shape = volume.get("dtype"), volume.get("shape")
     if not isinstance(dtype, str) or dtype not in ("<f2", "<f4"):
         raise RefusedError("dtype", f"volume {dtype!r:.40}")
-    if (
-        not isinstance(shape, list)
-        or len(shape) != 3
-        or not all(type(n) is int and 0 < n < 2**20 for n in shape)
-    ):
+    if not isinstance(shape, list) or len(shape) != 3 or not all(type(n) is int and 0 < n < 2**20 for n in shape):
         raise RefusedError("shape", f"volume {shape!r:.60}")
     size = math.prod(shape) * np.dtype(dtype).itemsize
     blocks = [shape[0], -(-shape[1] // BLOCK), -(-shape[2] // BLOCK)]

@@ -33,9 +33,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Base of every section: immutable, every key has a default, unknown keys are errors."""
 
 
-def load(
-    path: Path | None = None, settings: Iterable[str] = (), environment: Mapping[str, str] | None = None
-) -> Tree:
+def load(path: Path | None = None, settings: Iterable[str] = (), environment: Mapping[str, str] | None = None) -> Tree:
     """Merge file, environment and `KEY=VALUE` settings into one tree.
 
     Raises:

@@ -193,9 +193,7 @@ class Route(Message, frozen=True, kw_only=True):
     ]  # [m], at least 2 points, in driving order
     goal: Goal
     lane_ids: Ids = []
-    speed_limit: Annotated[float, Meta(ge=0.0, le=SPEED_LIMIT)] = (
-        0.0  # highest wanted speed [m/s]; 0: the map's
-    )
+    speed_limit: Annotated[float, Meta(ge=0.0, le=SPEED_LIMIT)] = 0.0  # highest wanted speed [m/s]; 0: the map's
     lane_width: Annotated[float, Meta(ge=0.0, le=50.0)] = 3.5  # [m], where no map tells
 
 
@@ -274,26 +272,20 @@ class Risk(Message, frozen=True, kw_only=True):
     """
 
     grid: Grid
-    slice_times: Annotated[
-        list[NonNegative], Meta(min_length=1, max_length=256)
-    ]  # from capture + t_offset [s]
+    slice_times: Annotated[list[NonNegative], Meta(min_length=1, max_length=256)]  # from capture + t_offset [s]
     t_offset: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0  # [s]
     slots: Annotated[list[Slot], Meta(max_length=255)]
     left_out: Annotated[list[LeftOut], Meta(max_length=1024)] = []
     e_max: Annotated[float, Meta(gt=0.0, le=1e6)] = 1.0
     volume: Annotated[npt.NDArray[np.floating[Any]], Array(("<f2", "<f4"), ("s", "i", "j"), 0, 6e4)]
-    dominant: Annotated[
-        U8, Array(("|u1",), ("s", "bi", "bj"))
-    ]  # ceil(rows / 4), ceil(columns / 4); NO_SLOT: none
+    dominant: Annotated[U8, Array(("|u1",), ("s", "bi", "bj"))]  # ceil(rows / 4), ceil(columns / 4); NO_SLOT: none
 
     def problem(self) -> str:
         """The arrays must have the grid's shape, and slice times must increase."""
         shape = (len(self.slice_times), self.grid.rows, self.grid.columns)
         blocks = (shape[0], -(-shape[1] // BLOCK), -(-shape[2] // BLOCK))
         if self.volume.shape != shape or self.dominant.shape != blocks:
-            return (
-                f"volume {self.volume.shape}, dominant {self.dominant.shape}; the grid says {shape}, {blocks}"
-            )
+            return f"volume {self.volume.shape}, dominant {self.dominant.shape}; the grid says {shape}, {blocks}"
         if any(b <= a for a, b in itertools.pairwise(self.slice_times)):
             return "slice times do not increase"
         return ""
@@ -307,9 +299,7 @@ class Trajectory(Struct, frozen=True, kw_only=True):
     y: Annotated[F64, Array(("<f8",), ("m",), -XY_LIMIT, XY_LIMIT)]
     heading: Annotated[F64, Array(("<f8",), ("m",), -100, 100)]  # body yaw [rad]
     curvature: Annotated[F64, Array(("<f8",), ("m",), -10, 10)]  # tan(steer) / wheelbase [1/m]
-    speed: Annotated[
-        F64, Array(("<f8",), ("m",), 0, SPEED_LIMIT)
-    ]  # of the rear axle, along the heading [m/s]
+    speed: Annotated[F64, Array(("<f8",), ("m",), 0, SPEED_LIMIT)]  # of the rear axle, along the heading [m/s]
     acceleration: Annotated[F64, Array(("<f8",), ("m",), -50, 50)]  # [m/s²]
 
 
