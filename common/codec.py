@@ -1,8 +1,8 @@
 """MessagePack in and out: every message that cannot be used is refused by name.
 
-A message is a header (one MessagePack map, the attachment) and a body (the payload). An array field travels as the map
-`{"dtype": "<f8", "shape": [n, 60], "data": bytes}`. The body of `risk` alone is raw: `volume`, then `dominant`, C order;
-its other fields stand in the header under `body`.
+A message is a header (one MessagePack map, the attachment) and a body (the payload). An array field travels as the
+map `{"dtype": "<f8", "shape": [n, 60], "data": bytes}`. The body of `risk` alone is raw: `volume`, then `dominant`,
+C order; its other fields stand in the header under `body`.
 
 What is sent passes the same checks as what arrives: nothing non-finite or out of range leaves a service.
 """
@@ -54,7 +54,8 @@ def encode_body(topic: Topic, message: Message) -> tuple[bytes, dict[str, Any] |
     """Pack a body; returns the payload and, for `risk`, the fields that belong into the header.
 
     Raises:
-        RefusedError: the message breaks the contract of its own type (shape, dtype, non_finite, range, content, too_large).
+        RefusedError: the message breaks the contract of its own type (`shape`, `dtype`, `non_finite`, `range`,
+            `content`, `too_large`).
     """
     check(message)
     if isinstance(message, Risk):

@@ -1,6 +1,6 @@
 """Typed configuration: built-in defaults < TOML file < environment < `--set`; an unknown key is an error.
 
-One tree serves everything: `[bus]`, `[risk]`, `[predictor]`, `[riskfield]`, `[planner]`, `[viz]`, `[rig]` and the
+One tree serves everything: `[bus]`, `[service]`, `[risk]`, `[predictor]`, `[riskfield]`, `[planner]`, `[viz]`, `[rig]` and the
 top-level `vehicle`. Each process converts the sections it needs to its own frozen struct.
 
 - file: `--config FILE` or the variable `FOREFIELD_CONFIG`;
@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-SECTIONS = ("bus", "risk", "predictor", "riskfield", "planner", "viz", "rig")
+SECTIONS = ("bus", "service", "risk", "predictor", "riskfield", "planner", "viz", "rig")
 ENVIRONMENT_PREFIX = "FOREFIELD__"
 
 Tree = dict[str, Any]

@@ -42,7 +42,8 @@ SPEED_LIMIT = 150.0  # m/s
 class Array:
     """Shape, type and range of an array field, checked by the codec.
 
-    `dtypes` are NumPy's names, little-endian; `shape` holds numbers or letters; a letter is bound by the first array that uses it. Every array must be finite.
+    `dtypes` are NumPy's names, little-endian; `shape` holds numbers or letters; a letter is bound by the first array
+    that uses it. Every array must be finite.
     """
 
     dtypes: tuple[str, ...]
@@ -378,11 +379,14 @@ class InputHealth(Struct, frozen=True, kw_only=True):
     used: int = 0
 
 
+State = Literal["starting", "waiting", "ready", "degraded", "stopping"]
+
+
 class Status(Message, frozen=True, kw_only=True):
     """Health of one service, 2 Hz."""
 
     service: Name
-    state: Literal["starting", "waiting", "ready", "degraded", "stopping"]
+    state: State
     reason: Text
     uptime_s: NonNegative
     inputs: dict[str, InputHealth] = {}
@@ -435,3 +439,7 @@ class Stamped(Generic[T_co]):
     def age_s(self, now_ns: int) -> float:
         """Age of the content [s]."""
         return (now_ns - self.capture_ns) * 1e-9
+
+    def descent(self) -> Cause:
+        """The cause of what is made from this message when it is itself the origin (`objects`)."""
+        return Cause(self.boot, self.seq)

@@ -1,0 +1,337 @@
+"""The bus: the only file that imports zenoh.
+
+Latest-only inboxes (a callback that swaps one slot and counts what it overwrites), latched topics for late joiners
+and late publishers, publishers that write the header, liveliness, and a loopback router for runs on one machine.
+Decoding happens in the receiver's own thread, in `Inbox.take`: nothing that arrives can hurt a Zenoh thread.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import secrets
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from common import codec
+from common.age import TransitClock
+from common.clock import Clock, monotonic
+from common.codec import RefusedError
+from common.config import ConfigError, Settings
+from common.health import Health
+from common.messages import Cause, Header, Message, Stamped
+from common.order import Order
+from common.topics import VERSION_MAJOR, VERSION_MINOR, Delivery, Topic, alive_key, key
+
+log = logging.getLogger("forefield.bus")
+
+
+class BusSettings(Settings):
+    """Section `[bus]`."""
+
+    connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    """Endpoints of the router."""
+    zenoh_config: str = ""
+    """A Zenoh configuration file (JSON5) instead of the built-in one: TLS, other transports."""
+    shared_memory: bool = False
+    """Zenoh's shared memory; drops silently when a receiver stalls, so it is off unless asked for."""
+    lease_ms: int = 500
+    """A peer silent for this long is gone [ms]."""
+
+
+def _built_in(mode: str, settings: BusSettings) -> dict[str, Any]:
+    return {
+        "mode": mode,
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "timestamping": {"enabled": True},
+        "transport": {
+            "link": {"tx": {"lease": settings.lease_ms}, "rx": {"max_message_size": 80 * 1024 * 1024}},
+            "shared_memory": {"enabled": settings.shared_memory},
+        },
+    }
+
+
+def _client(settings: BusSettings) -> zenoh.Config:
+    if settings.zenoh_config:
+        path = Path(settings.zenoh_config)
+        if not path.is_file():
+            raise ConfigError(f"bus.zenoh_config: {path}: no such file")
+        try:
+            return zenoh.Config.from_file(str(path))
+        except zenoh.ZError as e:
+            raise ConfigError(f"bus.zenoh_config: {path}: {e}") from None
+    config = _built_in("client", settings)
+    config["connect"] = {"endpoints": list(settings.connect), "timeout_ms": -1, "exit_on_failure": False}
+    return zenoh.Config.from_json5(json.dumps(config))
+
+
+class Inbox:
+    """The newest message of one topic. Made by `Bus.inbox`; used by one thread."""
+
+    def __init__(
+        self, topic: Topic, health: Health, clock: Clock, wake: threading.Event, transit: TransitClock
+    ) -> None:
+        self.topic = topic
+        self.latest: Stamped[Any] | None = None
+        self._monitor = health.input(topic)
+        self._health = health
+        self._clock = clock
+        self._wake = wake
+        self._transit = transit
+        self._order = Order()
+        self._lock = threading.Lock()
+        self._slot: tuple[zenoh.Sample, int] | None = None
+
+    def arrive(self, sample: zenoh.Sample) -> None:
+        """Swap the slot; called from a Zenoh thread."""
+        now = self._clock()
+        with self._lock:
+            overwritten, self._slot = self._slot is not None, (sample, now)
+            self._monitor.arrived(now)
+        if overwritten:
+            self._health.count(f"{self.topic.suffix}:overwritten")
+        self._wake.set()
+
+    def take(self) -> Stamped[Any] | None:
+        """The newest message that was not taken yet; None if there is none or it is refused (and counted)."""
+        with self._lock:
+            slot, self._slot = self._slot, None
+        if slot is None:
+            return None
+        try:
+            self.latest = self._read(*slot)
+        except RefusedError as e:
+            self._monitor.refused()
+            self._health.count(f"{self.topic.suffix}:{e.reason}")
+            log.debug("%s refused: %s", self.topic.suffix, e)
+            return None
+        self._monitor.accepted(self.latest.capture_ns)
+        return self.latest
+
+    def fresh(self, now_ns: int) -> Stamped[Any] | None:
+        """The last good message if it is not older than its topic allows."""
+        limit = self.topic.max_age_s
+        if self.latest is None or (limit is not None and not self.latest.age_s(now_ns) <= limit):
+            return None
+        return self.latest
+
+    def _read(self, sample: zenoh.Sample, received_ns: int) -> Stamped[Any]:
+        if sample.kind != zenoh.SampleKind.PUT:
+            raise RefusedError("not_a_put")
+        attachment = sample.attachment
+        if attachment is not None and len(attachment) > self.topic.max_header_bytes:
+            raise RefusedError("header_too_large", f"{len(attachment)} bytes")
+        if len(sample.payload) > self.topic.max_bytes:
+            raise RefusedError("too_large", f"{len(sample.payload)} bytes, at most {self.topic.max_bytes}")
+        header = codec.decode_header(self.topic, None if attachment is None else attachment.to_bytes())
+        self._order.check(header)
+        age_ns = header.age_ns + self._transit.excess_ns(header.source, header.boot, header.sent_ns, received_ns)
+        capture_ns = received_ns - age_ns
+        limit = self.topic.max_age_s
+        if limit is not None and not (self._clock() - capture_ns) * 1e-9 <= limit:
+            raise RefusedError("stale", f"{(self._clock() - capture_ns) * 1e-6:.0f} ms, at most {limit * 1e3:.0f} ms")
+        message = codec.decode_body(self.topic, header, sample.payload.to_bytes())
+        self._order.accept(header)
+        return Stamped(
+            message, capture_ns, received_ns, header.cause, header.source, header.boot, header.seq, header.work_ns
+        )
+
+
+class Publisher:
+    """Sends one topic. Made by `Bus.publisher`."""
+
+    def __init__(self, topic: Topic, raw: Any, source: str, boot: str, clock: Clock) -> None:
+        self.topic = topic
+        self._raw = raw
+        self._source = source
+        self._boot = boot
+        self._clock = clock
+        self._seq = 0
+        self._lock = threading.Lock()
+        self.last_work_ns = 0
+
+    def put(
+        self, message: Message, *, capture_ns: int, cause: Cause | None = None, arrived_ns: int | None = None
+    ) -> Cause:
+        """Send a message.
+
+        Args:
+            message: the body; it passes the same checks as what arrives.
+            capture_ns: when its content was true, on this process' monotonic clock [ns].
+            cause: the `objects` message that it descends from.
+            arrived_ns: when the input that it rests on arrived [ns]; gives `work_ns`.
+
+        Returns:
+            Boot and sequence number of this message: the cause of what will descend from it.
+
+        Raises:
+            RefusedError: the message breaks its contract; nothing was sent.
+        """
+        payload, body = codec.encode_body(self.topic, message)
+        with self._lock:
+            now = self._clock()
+            header = Header(
+                schema=self.topic.name,
+                version=(VERSION_MAJOR, VERSION_MINOR),
+                source=self._source,
+                boot=self._boot,
+                seq=self._seq,
+                capture_ns=capture_ns,
+                sent_ns=now,
+                age_ns=max(now - capture_ns, 0),
+                work_ns=0 if arrived_ns is None else max(now - arrived_ns, 0),
+                cause=cause,
+                body=body,
+            )
+            self._raw.put(payload, attachment=codec.encode_header(self.topic, header))
+            self._seq += 1
+            self.last_work_ns = header.work_ns
+            return Cause(self._boot, header.seq)
+
+
+class Bus:
+    """One session on the bus. Open it with `open_bus`, in a `with`."""
+
+    def __init__(self, session: zenoh.Session, vehicle: str, source: str, clock: Clock, health: Health) -> None:
+        self.vehicle = vehicle
+        self.source = source
+        self.boot = secrets.token_hex(8)
+        self.health = health
+        self._session = session
+        self._clock = clock
+        self._wake = threading.Event()
+        self._transit = TransitClock()
+        self._held: list[Any] = []
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """`topic:reason` → how many messages were not used."""
+        return dict(self.health.counters)
+
+    def inbox(self, topic: Topic) -> Inbox:
+        """Subscribe to a topic, keeping only its newest message."""
+        inbox = Inbox(topic, self.health, self._clock, self._wake, self._transit)
+        k = key(self.vehicle, topic)
+        if topic.delivery is Delivery.LATCHED:
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+            self._held.append(zenoh.ext.declare_advanced_subscriber(self._session, k, inbox.arrive, history=history))
+        else:
+            self._held.append(self._session.declare_subscriber(k, inbox.arrive))
+        return inbox
+
+    def publisher(self, topic: Topic) -> Publisher:
+        """Prepare to send a topic."""
+        options: dict[str, Any] = {
+            "encoding": topic.encoding,
+            "priority": getattr(zenoh.Priority, topic.priority.value),
+            "congestion_control": zenoh.CongestionControl.BLOCK if topic.wait else zenoh.CongestionControl.DROP,
+        }
+        k = key(self.vehicle, topic)
+        if topic.delivery is Delivery.LATCHED:
+            raw = zenoh.ext.declare_advanced_publisher(
+                self._session, k, cache=zenoh.ext.CacheConfig(max_samples=1), publisher_detection=True, **options
+            )
+        else:
+            raw = self._session.declare_publisher(k, express=True, **options)
+        self._held.append(raw)
+        return Publisher(topic, raw, self.source, self.boot, self._clock)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Sleep until something arrives or the time is over; returns whether something arrived."""
+        arrived = self._wake.wait(max(timeout_s, 0.0))
+        self._wake.clear()
+        return arrived
+
+    def interrupt(self) -> None:
+        """End a `wait` now."""
+        self._wake.set()
+
+    def liveliness(self, service: str) -> None:
+        """Show the token `alive/{service}` for as long as this session is open."""
+        self._held.append(self._session.liveliness().declare_token(alive_key(self.vehicle, service)))
+
+    def alive(self) -> set[str]:
+        """Services whose token is seen now."""
+        found = set()
+        for reply in self._session.liveliness().get(
+            alive_key(self.vehicle, "any").removesuffix("any") + "*", timeout=1.0
+        ):
+            if reply.ok is not None:
+                found.add(str(reply.ok.key_expr).rsplit("/", 1)[-1])
+        return found
+
+    def close(self) -> None:
+        """Undeclare everything and close the session; errors of a link already gone are not ours to report."""
+        for held in reversed(self._held):
+            with suppress(zenoh.ZError):
+                held.undeclare()
+        self._held.clear()
+        with suppress(zenoh.ZError):
+            self._session.close()
+
+
+@contextmanager
+def open_bus(
+    settings: BusSettings, vehicle: str, source: str, *, clock: Clock = monotonic, health: Health | None = None
+) -> Iterator[Bus]:
+    """Open a session; the router may come later and may restart.
+
+    Args:
+        settings: section `[bus]`.
+        vehicle: second part of every key.
+        source: name of this process, stated in every header.
+        clock: monotonic clock [ns].
+        health: where arrivals and refusals are counted; a new one if None.
+
+    Raises:
+        ConfigError: the Zenoh configuration cannot be used.
+    """
+    config = _client(settings)
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as e:
+        raise ConfigError(f"[bus] cannot open a session: {e}") from None
+    bus = Bus(session, vehicle, source, clock, health or Health(source, clock))
+    try:
+        yield bus
+    finally:
+        bus.close()
+
+
+def free_port() -> int:
+    """A TCP port on loopback that is free now."""
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+@contextmanager
+def router(port: int = 0, *, listen: str = "", settings: BusSettings | None = None) -> Iterator[str]:
+    """Run a Zenoh router in this process; yields its endpoint.
+
+    Args:
+        port: TCP port on loopback; 0: a free one.
+        listen: a whole endpoint instead, such as `tcp/0.0.0.0:7447`.
+        settings: lease and shared memory.
+
+    Raises:
+        ConfigError: the endpoint cannot be listened on.
+    """
+    endpoint = listen or f"tcp/127.0.0.1:{port or free_port()}"
+    config = _built_in("router", settings or BusSettings())
+    config["listen"] = {"endpoints": [endpoint]}
+    try:
+        session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    except zenoh.ZError as e:
+        raise ConfigError(f"cannot listen on {endpoint}: {e}; is another router running there?") from None
+    try:
+        yield endpoint
+    finally:
+        with suppress(zenoh.ZError):
+            session.close()

@@ -1,0 +1,169 @@
+"""Health is one thing: the status message, the heartbeat file and the metrics are views of it.
+
+Every input carries three flags: `alive` (something arrived within its time), `rate_ok` and `valid` (the last one was
+accepted). A new input starts with all three down: it fails closed.
+
+`python -m common.health FILE [--max-age S]` is the containers' healthcheck: it exits 0 if the heartbeat file was
+touched within S seconds (default 3), otherwise 1. It opens no session.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections import Counter, deque
+from pathlib import Path
+
+import numpy as np
+
+from common.clock import Clock
+from common.messages import InputHealth, State, Status
+from common.topics import Topic
+
+RATE_WINDOW = 20
+WORK_WINDOW = 600
+STALL_S = 2.5
+"""A loop that has not turned for this long gets no heartbeat [s]."""
+
+
+class InputMonitor:
+    """Arrivals of one input. The bus tells it what arrives; it never looks at a clock itself."""
+
+    def __init__(self, topic: Topic) -> None:
+        self._topic = topic
+        self._arrivals: deque[int] = deque(maxlen=RATE_WINDOW)
+        self._capture_ns: int | None = None
+        self._valid = False
+        self._received = 0
+        self._used = 0
+
+    def arrived(self, now_ns: int) -> None:
+        """Something arrived, whatever it is."""
+        self._arrivals.append(now_ns)
+        self._received += 1
+
+    def accepted(self, capture_ns: int) -> None:
+        """The newest message was good."""
+        self._valid, self._capture_ns = True, capture_ns
+        self._used += 1
+
+    def refused(self) -> None:
+        """The newest message was not used."""
+        self._valid = False
+
+    def view(self, now_ns: int) -> InputHealth:
+        """State of this input at `now_ns`."""
+        times = list(self._arrivals)
+        age = None if self._capture_ns is None else (now_ns - self._capture_ns) * 1e-9
+        if self._topic.rate_hz is None:
+            return InputHealth(
+                alive=self._received > 0,
+                rate_ok=True,
+                valid=self._valid,
+                age_s=age,
+                received=self._received,
+                used=self._used,
+            )
+        low, high = self._topic.rate_hz
+        span = (times[-1] - times[0]) * 1e-9 if len(times) > 1 else 0.0
+        rate = (len(times) - 1) / span if span > 0 else 0.0
+        silent = (now_ns - times[-1]) * 1e-9 if times else np.inf
+        alive = bool(silent <= max(3.0 / low, self._topic.max_age_s or 0.0))
+        return InputHealth(
+            alive=alive,
+            rate_ok=alive and low * 0.8 <= rate <= high * 1.25,
+            valid=self._valid,
+            age_s=age,
+            rate_hz=rate,
+            received=self._received,
+            used=self._used,
+        )
+
+
+class Health:
+    """What one service knows about itself. Thread-safe: the loop writes, the status thread reads."""
+
+    def __init__(self, service: str, clock: Clock) -> None:
+        self.service = service
+        self.counters: Counter[str] = Counter()
+        self.detail: dict[str, str] = {}
+        self._clock = clock
+        self._started_ns = clock()
+        self._turned_ns = self._started_ns
+        self._inputs: dict[str, InputMonitor] = {}
+        self._state: State = "starting"
+        self._reason = "starting"
+        self._work: deque[float] = deque(maxlen=WORK_WINDOW)
+        self._lock = threading.Lock()
+
+    def input(self, topic: Topic) -> InputMonitor:
+        """The monitor of one input."""
+        with self._lock:
+            return self._inputs.setdefault(topic.suffix, InputMonitor(topic))
+
+    def count(self, name: str, n: int = 1) -> None:
+        """Raise the counter `topic:reason` by n."""
+        with self._lock:
+            self.counters[name] += n
+
+    def say(self, state: State, reason: str) -> bool:
+        """Set the state and its reason; returns whether that is news."""
+        with self._lock:
+            news = (state, reason) != (self._state, self._reason)
+            self._state, self._reason = state, reason
+            return news
+
+    def turned(self) -> None:
+        """The loop made a turn."""
+        self._turned_ns = self._clock()
+
+    def worked(self, work_ns: int) -> None:
+        """One message took this long from arrival to put [ns]."""
+        with self._lock:
+            self._work.append(work_ns * 1e-6)
+
+    @property
+    def turning(self) -> bool:
+        """Whether the loop turns, or the service is still starting."""
+        return self._state == "starting" or (self._clock() - self._turned_ns) * 1e-9 < STALL_S
+
+    def status(self) -> Status:
+        """The status message of this moment."""
+        now = self._clock()
+        with self._lock:
+            work = np.array(self._work)
+            inputs = {name: monitor.view(now) for name, monitor in self._inputs.items()}
+            p50, p95, p99, top = np.percentile(work, [50, 95, 99, 100]) if len(work) else (0.0,) * 4
+            return Status(
+                service=self.service,
+                state=self._state,
+                reason=self._reason[:1000],
+                uptime_s=(now - self._started_ns) * 1e-9,
+                inputs=inputs,
+                counters=dict(self.counters),
+                work_ms={"p50": float(p50), "p95": float(p95), "p99": float(p99), "max": float(top)},
+                detail=dict(self.detail),
+            )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Healthcheck of a container: was the heartbeat file touched lately?"""
+    parser = argparse.ArgumentParser(prog="python -m common.health", description=main.__doc__)
+    parser.add_argument("file", type=Path, help="the heartbeat file (setting service.heartbeat)")
+    parser.add_argument("--max-age", type=float, default=3.0, metavar="S", help="oldest good heartbeat [s]")
+    options = parser.parse_args(arguments)
+    try:
+        age = time.time() - options.file.stat().st_mtime
+    except OSError as e:
+        print(f"no heartbeat: {e}", file=sys.stderr)
+        return 1
+    if not age <= options.max_age:
+        print(f"the last heartbeat is {age:.1f} s old", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

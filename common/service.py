@@ -1,0 +1,214 @@
+"""The one loop every service runs: inputs in, one step, one message out; health, SIGTERM, exit.
+
+The shell around a core. It takes the newest of each input, runs the step when its trigger arrived or its period is over,
+and sends what the step returns. It never dies of what arrives: an exception of a step is counted by its name, logged,
+and declared as `degraded`. A `FatalError` (a poisoned GPU context) ends the process; its supervisor starts a new one.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from common import config
+from common.bus import Bus, BusSettings, Inbox, Publisher, open_bus
+from common.clock import monotonic
+from common.codec import RefusedError
+from common.config import ConfigError, Settings, Tree
+from common.health import Health
+from common.messages import Cause, Message, Stamped, State
+from common.topics import STATUS_OF, Topic
+
+log = logging.getLogger("forefield")
+
+EXIT_DEADLINE_S = 2.5
+"""After SIGTERM the process is gone this much later, whatever hangs [s]."""
+
+
+class FatalError(Exception):
+    """The process cannot go on and must be restarted by its supervisor."""
+
+
+class ServiceSettings(Settings):
+    """Section `[service]`, the same for every service."""
+
+    heartbeat: str = ""
+    """File touched while the loop turns, for the container's healthcheck; empty: none."""
+    status_hz: float = 2.0
+    """Rate of the status message [Hz]."""
+    log_level: str = "INFO"
+
+
+@dataclass(frozen=True)
+class Output:
+    """What a step wants sent."""
+
+    message: Message
+    capture_ns: int
+    """When its content was true, own monotonic clock [ns]."""
+    cause: Cause | None
+    arrived_ns: int
+    """When the input it rests on arrived, or when the step began [ns]."""
+    state: State = "ready"
+    reason: str = "running"
+
+
+@dataclass(frozen=True)
+class Idle:
+    """Nothing to send, and why."""
+
+    reason: str
+    state: State = "waiting"
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The newest accepted message of each topic at the moment of a step."""
+
+    inboxes: Mapping[str, Inbox]
+    now_ns: int
+    new: frozenset[str]
+    """Suffixes of the topics of which a message was accepted since the last step."""
+
+    def latest(self, topic: Topic) -> Stamped[Any] | None:
+        """The last good message, however old."""
+        return self.inboxes[topic.suffix].latest
+
+    def fresh(self, topic: Topic) -> Stamped[Any] | None:
+        """The last good message unless it is older than its topic allows."""
+        return self.inboxes[topic.suffix].fresh(self.now_ns)
+
+
+Step = Callable[[Inputs], Output | Idle]
+
+
+@dataclass(frozen=True)
+class Service:
+    """What makes one service: its inputs, its output, and when it steps."""
+
+    name: str
+    subscribes: tuple[Topic, ...]
+    publishes: Topic
+    trigger: Topic
+    """A new message of this topic makes a step due at once."""
+    period_s: float
+    """So does this much time since the last step [s]."""
+    build: Callable[[Tree, Health], Step]
+    """Reads the configuration, warms up, returns the step. May raise ConfigError."""
+    fatal: tuple[type[Exception], ...] = field(default=(FatalError,))
+
+
+def main(service: Service) -> int:
+    """Run a service as a process; returns its exit code: 0 stopped, 1 fatal, 2 bad configuration."""
+    try:
+        tree = config.load()
+        settings = config.section(tree, "service", ServiceSettings)
+        logging.basicConfig(
+            level=settings.log_level, stream=sys.stderr, format=f"%(asctime)s {service.name} %(levelname)s %(message)s"
+        )
+        return run(service, tree, settings)
+    except ConfigError as e:
+        print(f"{service.name}: {e}", file=sys.stderr)
+        return 2
+
+
+def run(service: Service, tree: Tree, settings: ServiceSettings) -> int:
+    """Open the bus, warm up, loop until SIGTERM or Ctrl-C."""
+    stop = threading.Event()
+    health = Health(service.name, monotonic)
+    bus_settings = config.section(tree, "bus", BusSettings)
+    with open_bus(bus_settings, config.vehicle(tree), service.name, health=health) as bus:
+
+        def end(*_: object) -> None:
+            stop.set()
+            bus.interrupt()
+            leave = threading.Timer(EXIT_DEADLINE_S, os._exit, (0,))
+            leave.daemon = True
+            leave.start()
+
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, end)
+        inboxes = {t.suffix: bus.inbox(t) for t in service.subscribes}
+        output, status = bus.publisher(service.publishes), bus.publisher(STATUS_OF[service.name])
+        bus.liveliness(service.name)
+        reporter = threading.Thread(target=_report, args=(health, status, settings, stop), daemon=True)
+        reporter.start()
+        health.say("starting", "warming up")
+        try:
+            step = service.build(tree, health)
+            log.info("ready, vehicle %r", bus.vehicle)
+            _loop(service, bus, health, inboxes, output, step, stop)
+        except service.fatal as e:
+            log.critical("fatal: %s", e)
+            return 1
+        finally:
+            stop.set()
+            health.say("stopping", "asked to stop")
+            reporter.join(timeout=1.0)
+    return 0
+
+
+def _loop(
+    service: Service, bus: Bus, health: Health, inboxes: Mapping[str, Inbox], output: Publisher, step: Step,
+    stop: threading.Event,
+) -> None:  # fmt: skip
+    period_ns = round(service.period_s * 1e9)
+    due_ns = monotonic()
+    new: set[str] = set()
+    health.say("waiting", "waiting for " + ", ".join(t.suffix for t in service.subscribes))
+    while not stop.is_set():
+        bus.wait((due_ns - monotonic()) * 1e-9)
+        new |= {name for name, inbox in inboxes.items() if inbox.take() is not None}
+        health.turned()
+        now = monotonic()
+        if now < due_ns and service.trigger.suffix not in new:
+            continue
+        # a late turn does not shift the ones after it by less than a period: no bursts to catch up
+        due_ns = now + period_ns
+        inputs = Inputs(inboxes, now, frozenset(new))
+        new = set()
+        _step(service, health, output, step, inputs)
+
+
+def _step(service: Service, health: Health, output: Publisher, step: Step, inputs: Inputs) -> None:
+    try:
+        result = step(inputs)
+        if isinstance(result, Output):
+            output.put(result.message, capture_ns=result.capture_ns, cause=result.cause, arrived_ns=result.arrived_ns)
+            health.worked(output.last_work_ns)
+            health.count(f"{service.publishes.suffix}:sent")
+    except service.fatal:
+        raise
+    except RefusedError as e:
+        health.count(f"{service.publishes.suffix}:not_sent_{e.reason}")
+        result = Idle(f"own {service.publishes.suffix} broke its contract: {e}", "degraded")
+    except Exception as e:
+        health.count(f"step:{type(e).__name__}")
+        log.exception("step failed")
+        result = Idle(f"step failed: {type(e).__name__}: {e}", "degraded")
+    if health.say(result.state, result.reason):
+        log.info("%s: %s", result.state, result.reason)
+
+
+def _report(health: Health, status: Publisher, settings: ServiceSettings, stop: threading.Event) -> None:
+    heartbeat = Path(settings.heartbeat) if settings.heartbeat else None
+    while True:
+        if heartbeat is not None and health.turning:
+            try:
+                heartbeat.touch()
+            except OSError as e:
+                log.warning("heartbeat: %s", e)
+                heartbeat = None
+        try:
+            status.put(health.status(), capture_ns=monotonic())
+        except Exception:  # a report must not end the reports
+            log.exception("status not sent")
+        if stop.wait(1.0 / settings.status_hz):
+            return

@@ -1,0 +1,44 @@
+"""The planner as a process: ego, map, route and risk in, plan out, at least 20 times a second whatever arrives."""
+
+from __future__ import annotations
+
+from common import config, topics
+from common.health import Health
+from common.service import Idle, Inputs, Output, Service, Step, main
+from services.planner.core import Planner
+from services.planner.settings import PlannerSettings
+
+
+def build(tree: config.Tree, health: Health) -> Step:
+    """Wire the core to the loop."""
+    settings = config.section(tree, "planner", PlannerSettings)
+    core = Planner(settings)
+    health.detail["planner"] = settings.name
+
+    def step(inputs: Inputs) -> Output | Idle:
+        ego, risk = inputs.latest(topics.EGO), inputs.latest(topics.RISK)
+        plan = core.step(ego, risk, inputs.latest(topics.MAP), inputs.latest(topics.ROUTE), inputs.now_ns)
+        health.count(f"mode:{plan.mode}")
+        renewed = risk is not None and topics.RISK.suffix in inputs.new
+        return Output(
+            plan,
+            inputs.now_ns if ego is None else ego.capture_ns,
+            None if risk is None else risk.cause,
+            risk.received_ns if risk is not None and renewed else inputs.now_ns,
+            *(("ready", "driving") if plan.mode == "drive" else ("waiting", f"{plan.mode}: {plan.reason}")),
+        )
+
+    return step
+
+
+SERVICE = Service(
+    name="planner",
+    subscribes=(topics.EGO, topics.MAP, topics.ROUTE, topics.RISK),
+    publishes=topics.PLAN,
+    trigger=topics.RISK,
+    period_s=0.05,
+    build=build,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(main(SERVICE))

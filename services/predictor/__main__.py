@@ -1,0 +1,43 @@
+"""The predictor as a process: objects (with ego and map) in, prediction out."""
+
+from __future__ import annotations
+
+from common import config, topics
+from common.health import Health
+from common.risk import RiskParameters
+from common.service import Idle, Inputs, Output, Service, Step, main
+from services.predictor.core import Predictor
+from services.predictor.settings import PredictorSettings
+
+
+def build(tree: config.Tree, health: Health) -> Step:
+    """Wire the core to the loop."""
+    settings = config.section(tree, "predictor", PredictorSettings)
+    core = Predictor(settings, config.section(tree, "risk", RiskParameters))
+    health.detail["policy"] = settings.policy
+
+    def step(inputs: Inputs) -> Output | Idle:
+        objects = inputs.fresh(topics.OBJECTS)
+        if objects is None:
+            return Idle("no fresh objects: is the vehicle publishing them?")
+        if topics.OBJECTS.suffix not in inputs.new:
+            return Idle("running", "ready")
+        world = inputs.latest(topics.MAP)
+        prediction = core.step(objects, inputs.fresh(topics.EGO), None if world is None else world.value)
+        cause = objects.descent()
+        return Output(prediction, objects.capture_ns, cause, objects.received_ns)
+
+    return step
+
+
+SERVICE = Service(
+    name="predictor",
+    subscribes=(topics.OBJECTS, topics.EGO, topics.MAP, topics.ROUTE),
+    publishes=topics.PREDICTION,
+    trigger=topics.OBJECTS,
+    period_s=0.2,
+    build=build,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(main(SERVICE))

@@ -1,0 +1,61 @@
+"""The riskfield as a process: prediction (with ego, map, closures) in, risk out."""
+
+from __future__ import annotations
+
+from common import config, topics
+from common.health import Health
+from common.risk import RiskParameters
+from common.service import FatalError, Idle, Inputs, Output, Service, Step, main
+from services.riskfield.core import RiskField
+from services.riskfield.settings import RiskfieldSettings
+
+PERIOD_S = 0.1
+
+
+def build(tree: config.Tree, health: Health) -> Step:
+    """Wire the core to the loop; compiles the kernels."""
+    settings = config.section(tree, "riskfield", RiskfieldSettings)
+    health.say("starting", "compiling kernels")
+    core = RiskField(settings, config.section(tree, "risk", RiskParameters), settings.device)
+    core.warm_up()
+    health.detail["device"] = core.device
+
+    def step(inputs: Inputs) -> Output | Idle:
+        prediction = inputs.fresh(topics.PREDICTION)
+        ego, world = inputs.fresh(topics.EGO), inputs.latest(topics.MAP)
+        closures = inputs.latest(topics.CLOSURES)
+        if prediction is None:
+            return Idle("no fresh prediction: is the predictor running and are objects published?")
+        if ego is None:
+            return Idle("no fresh ego: is the vehicle publishing it?")
+        renewed = topics.PREDICTION.suffix in inputs.new
+        # predictor silent: the last prediction's field, shifted in time, until it is too old to be fresh
+        t_offset = 0.0 if renewed else prediction.age_s(inputs.now_ns)
+        try:
+            risk = core.step(
+                prediction, ego, None if world is None else world.value,
+                None if closures is None else closures.value, t_offset,
+            )  # fmt: skip
+        except RuntimeError as e:
+            if core.device != "cpu":
+                raise FatalError(f"the GPU failed: {e}") from e
+            raise
+        return Output(
+            risk, prediction.capture_ns, prediction.cause, prediction.received_ns if renewed else inputs.now_ns,
+            *(("ready", "running") if renewed else ("degraded", "predictor silent: old prediction shifted in time")),
+        )  # fmt: skip
+
+    return step
+
+
+SERVICE = Service(
+    name="riskfield",
+    subscribes=(topics.PREDICTION, topics.EGO, topics.MAP, topics.CLOSURES),
+    publishes=topics.RISK,
+    trigger=topics.PREDICTION,
+    period_s=PERIOD_S * 1.2,  # a prediction that is merely late by jitter is waited for
+    build=build,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(main(SERVICE))
