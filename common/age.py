@@ -1,9 +1,9 @@
 """How old something is, without ever comparing the wall clocks of two machines.
 
 Every header says how old its content was when it was sent (`age_ns`) and when that was on the sender's monotonic
-clock (`sent_ns`). For each (source, boot) a receiver keeps the 30 s minimum of (own monotonic − `sent_ns`): clock offset
-plus the shortest transit seen. The excess over it is time spent in transit and queues, and is added to the age.
-A constant base delay cannot be seen this way.
+clock (`sent_ns`). For each (source, boot) a receiver keeps the 30 s minimum of (own monotonic − `sent_ns`): clock
+offset plus the shortest transit seen. The excess over it is time spent in transit and queues, and is added to the
+age. A constant base delay cannot be seen this way.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from common.topics import VERSION_MAJOR, VERSION_MINOR, Delivery, Topic, alive_k
 log = logging.getLogger("forefield.bus")
 
 
-class BusSettings(Settings):
+class BusSettings(Settings, frozen=True):
     """Section `[bus]`."""
 
     connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
@@ -233,6 +233,7 @@ class Bus:
             "congestion_control": zenoh.CongestionControl.BLOCK if topic.wait else zenoh.CongestionControl.DROP,
         }
         k = key(self.vehicle, topic)
+        raw: Any
         if topic.delivery is Delivery.LATCHED:
             raw = zenoh.ext.declare_advanced_publisher(
                 self._session, k, cache=zenoh.ext.CacheConfig(max_samples=1), publisher_detection=True, **options
@@ -273,7 +274,7 @@ class Bus:
                 held.undeclare()
         self._held.clear()
         with suppress(zenoh.ZError):
-            self._session.close()
+            self._session.close()  # type: ignore[no-untyped-call]
 
 
 @contextmanager
@@ -334,4 +335,4 @@ def router(port: int = 0, *, listen: str = "", settings: BusSettings | None = No
         yield endpoint
     finally:
         with suppress(zenoh.ZError):
-            session.close()
+            session.close()  # type: ignore[no-untyped-call]

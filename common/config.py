@@ -1,7 +1,7 @@
 """Typed configuration: built-in defaults < TOML file < environment < `--set`; an unknown key is an error.
 
-One tree serves everything: `[bus]`, `[service]`, `[risk]`, `[predictor]`, `[riskfield]`, `[planner]`, `[viz]`, `[rig]` and the
-top-level `vehicle`. Each process converts the sections it needs to its own frozen struct.
+One tree serves everything: `[bus]`, `[service]`, `[risk]`, `[predictor]`, `[riskfield]`, `[planner]`, `[viz]`,
+`[rig]` and the top-level `vehicle`. Each process converts the sections it needs to its own frozen struct.
 
 - file: `--config FILE` or the variable `FOREFIELD_CONFIG`;
 - environment: `FOREFIELD__PLANNER__MAX_SPEED=15` sets `planner.max_speed`; `FOREFIELD__VEHICLE=van7` sets `vehicle`;

@@ -1,8 +1,8 @@
 """The one loop every service runs: inputs in, one step, one message out; health, SIGTERM, exit.
 
-The shell around a core. It takes the newest of each input, runs the step when its trigger arrived or its period is over,
-and sends what the step returns. It never dies of what arrives: an exception of a step is counted by its name, logged,
-and declared as `degraded`. A `FatalError` (a poisoned GPU context) ends the process; its supervisor starts a new one.
+The shell around a core. It takes the newest of each input, runs the step when its trigger arrived or its period is
+over, and sends what the step returns. It never dies of what arrives: an exception of a step is counted by its name,
+logged, and declared as `degraded`. A `FatalError` (a poisoned GPU context) ends the process; its supervisor starts a new one.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ class FatalError(Exception):
     """The process cannot go on and must be restarted by its supervisor."""
 
 
-class ServiceSettings(Settings):
+class ServiceSettings(Settings, frozen=True):
     """Section `[service]`, the same for every service."""
 
     heartbeat: str = ""
@@ -102,7 +102,8 @@ class Service:
     """So does this much time since the last step [s]."""
     build: Callable[[Tree, Health], Step]
     """Reads the configuration, warms up, returns the step. May raise ConfigError."""
-    fatal: tuple[type[Exception], ...] = field(default=(FatalError,))
+    grace_s: float = 0.0
+    """A trigger that comes after the period by no more than this is waited for [s]."""
 
 
 def main(service: Service) -> int:
@@ -145,7 +146,7 @@ def run(service: Service, tree: Tree, settings: ServiceSettings) -> int:
             step = service.build(tree, health)
             log.info("ready, vehicle %r", bus.vehicle)
             _loop(service, bus, health, inboxes, output, step, stop)
-        except service.fatal as e:
+        except FatalError as e:
             log.critical("fatal: %s", e)
             return 1
         finally:
@@ -159,7 +160,6 @@ def _loop(
     service: Service, bus: Bus, health: Health, inboxes: Mapping[str, Inbox], output: Publisher, step: Step,
     stop: threading.Event,
 ) -> None:  # fmt: skip
-    period_ns = round(service.period_s * 1e9)
     due_ns = monotonic()
     new: set[str] = set()
     health.say("waiting", "waiting for " + ", ".join(t.suffix for t in service.subscribes))
@@ -170,8 +170,9 @@ def _loop(
         now = monotonic()
         if now < due_ns and service.trigger.suffix not in new:
             continue
-        # a late turn does not shift the ones after it by less than a period: no bursts to catch up
-        due_ns = now + period_ns
+        # counted from now, not from when it was due: a late turn is not followed by a burst
+        triggered = service.trigger.suffix in new
+        due_ns = now + round((service.period_s + (service.grace_s if triggered else 0.0)) * 1e9)
         inputs = Inputs(inboxes, now, frozenset(new))
         new = set()
         _step(service, health, output, step, inputs)
@@ -184,7 +185,7 @@ def _step(service: Service, health: Health, output: Publisher, step: Step, input
             output.put(result.message, capture_ns=result.capture_ns, cause=result.cause, arrived_ns=result.arrived_ns)
             health.worked(output.last_work_ns)
             health.count(f"{service.publishes.suffix}:sent")
-    except service.fatal:
+    except FatalError:
         raise
     except RefusedError as e:
         health.count(f"{service.publishes.suffix}:not_sent_{e.reason}")

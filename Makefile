@@ -1,0 +1,50 @@
+# Two commands on a fresh machine (Debian 12, Python >= 3.11, make): `make demo` and `make test`.
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.forefield-installed
+PYTEST_ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test test-slow test-docker check format clean
+
+help: ## Show what can be made
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | column -t -s "$$(printf '\t')"
+
+setup: $(STAMP) ## Create .venv and install everything into it
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "Forefield needs Python 3.11 or newer; this is $$($(PYTHON) --version). Set PYTHON=..."; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) \
+	  || { echo "Cannot make a virtual environment: install it first (Debian: apt-get install python3-venv)"; exit 1; }
+	@echo "Installing into $(VENV) (about 1.5 GB, a few minutes the first time) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_TORCH) -e '.[dev]'
+	@touch $@
+
+demo: $(STAMP) ## Run a built-in scenario end to end and record it to runs/demo.rrd
+	@mkdir -p runs
+	@$(BIN)/forefield run --scenario demo --record runs/demo.rrd --json runs/demo.json
+
+test: $(STAMP) ## Run the default tests (under ten minutes on two cores)
+	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-slow: $(STAMP) ## Run the long checks
+	@$(BIN)/python -m pytest -m slow --timeout 3600 $(PYTEST_ARGS)
+
+test-docker: $(STAMP) ## Build and run the images on a real Docker engine
+	@$(BIN)/python -m pytest -m docker --timeout 1800 $(PYTEST_ARGS)
+
+check: $(STAMP) ## Lint, format, types, import contracts
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+format: $(STAMP) ## Format the code
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+clean: ## Remove what the tools leave behind (not .venv)
+	@rm -rf runs dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
