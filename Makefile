@@ -5,6 +5,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.forefield-installed
 PYTEST_ARGS ?=
+# Where pip may look for PyTorch beside its usual index, such as PyTorch's own index of CPU builds.
+TORCH_INDEX ?=
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test test-slow test-docker check format clean
@@ -20,7 +22,7 @@ $(STAMP): pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) \
 	  || { echo "Cannot make a virtual environment: install it first (Debian: apt-get install python3-venv)"; exit 1; }
 	@echo "Installing into $(VENV) (about 1.5 GB, a few minutes the first time) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_TORCH) -e '.[dev]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) -e '.[dev]'
 	@touch $@
 
 demo: $(STAMP) ## Run a built-in scenario end to end and record it to runs/demo.rrd

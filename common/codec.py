@@ -105,7 +105,7 @@ def decode_body(topic: Topic, header: Header, payload: bytes) -> Message:
         message = cast(Message, msgspec.convert(fields, topic.message, dec_hook=_read_array))
     except msgspec.ValidationError as e:
         inner = e.__cause__
-        if isinstance(inner, RefusedError):
+        if isinstance(inner, _ArrayError):
             raise RefusedError(inner.reason, str(e)) from None
         text = str(e)
         raise RefusedError("range" if ("<=" in text or ">=" in text or "`>" in text) else "type", text) from None
@@ -156,28 +156,28 @@ def _read_array(kind: type, value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value
     if not isinstance(value, dict) or not {"dtype", "shape", "data"} <= value.keys():
-        raise msgspec.ValidationError("expected an array {dtype, shape, data}")
+        raise _ArrayError("type", "expected an array {dtype, shape, data}")
     return _from_bytes(value["dtype"], value["shape"], value["data"])
 
 
 def _from_bytes(dtype: Any, shape: Any, data: Any) -> np.ndarray[Any, Any]:
     if not isinstance(dtype, str) or dtype not in _DTYPES:
-        raise _hooked("dtype", f"{dtype!r:.40}")
+        raise _ArrayError("dtype", f"{dtype!r:.40}")
     if not isinstance(shape, list) or len(shape) > 4 or not all(type(n) is int and 0 <= n < 2**32 for n in shape):
-        raise _hooked("shape", f"{shape!r:.60}")
+        raise _ArrayError("shape", f"{shape!r:.60}")
     if not isinstance(data, bytes | memoryview):
-        raise _hooked("type", "array data must be binary")
+        raise _ArrayError("type", "array data must be binary")
     expected = math.prod(shape) * np.dtype(dtype).itemsize
     if expected != len(data):
-        raise _hooked("shape", f"shape {shape} of {dtype} needs {expected} bytes, got {len(data)}")
+        raise _ArrayError("shape", f"shape {shape} of {dtype} needs {expected} bytes, got {len(data)}")
     return np.frombuffer(data, dtype=dtype).reshape(shape)
 
 
-def _hooked(reason: str, detail: str) -> msgspec.ValidationError:
-    # msgspec adds the field's path to a ValidationError and keeps the cause; a bare exception would lose the path
-    error = msgspec.ValidationError(detail)
-    error.__cause__ = RefusedError(reason, detail)
-    return error
+class _ArrayError(ValueError):
+    # msgspec wraps a ValueError of its hook into a ValidationError with the field's path and keeps it as the cause
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(detail)
+        self.reason = reason
 
 
 def _risk_fields(header: Header, payload: bytes) -> dict[str, Any]:

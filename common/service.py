@@ -1,8 +1,9 @@
 """The one loop every service runs: inputs in, one step, one message out; health, SIGTERM, exit.
 
 The shell around a core. It takes the newest of each input, runs the step when its trigger arrived or its period is
-over, and sends what the step returns. It never dies of what arrives: an exception of a step is counted by its name,
-logged, and declared as `degraded`. A `FatalError` (a poisoned GPU context) ends the process; its supervisor starts a new one.
+over, and sends what the step returns. It never dies of what arrives: an exception of a step is counted by name,
+logged, and declared as `degraded`. A `FatalError` (a poisoned GPU context) ends the process; its supervisor starts
+a new one.
 """
 
 from __future__ import annotations
