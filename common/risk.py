@@ -38,7 +38,7 @@ KMH = 3.6
 """km/h in one m/s."""
 
 
-class RiskParameters(Settings):
+class RiskParameters(Settings, frozen=True, kw_only=True):
     """Section `[risk]`: every constant of the equations, with unit and source.
 
     Sources: (P) the paper's equation, (M) the virtual mass of Wang et al.'s driving safety field that the paper takes
@@ -185,7 +185,7 @@ def kinetic_energy(
     if p.kinetic == "paper":
         return printed_kinetic_energy(s, D_la, u, width, p)
     u = np.asarray(u, dtype=np.float64)
-    xi = np.sign(u) * s - np.asarray(length) / 2
+    xi = np.sign(u) * np.asarray(s) - np.asarray(length) / 2
     b = np.clip(1.0 + np.minimum(xi, 0.0) / np.asarray(length), 0.0, 1.0)
     inverse_D_w = 1.0 / weighted_distance(np.maximum(xi, 0.0), D_la, width, p)
     L = np.abs(u) * p.t + p.d0
@@ -206,7 +206,7 @@ def printed_kinetic_energy(
         D_w = np.abs(s) / np.sqrt(lateral_factor(D_la, width))
         rest = np.abs(u) * p.t - D_w
         printed = p.t / (D_w * rest)
-    ahead = (np.sign(u) * s > 0.0) & (rest > 0.0) & np.isfinite(printed)
+    ahead = (np.sign(u) * np.asarray(s) > 0.0) & (rest > 0.0) & np.isfinite(printed)
     return np.where(ahead, np.minimum(printed, p.e_max), 0.0)
 
 
