@@ -226,7 +226,7 @@ class Bus:
         return inbox
 
     def watch(self, topic: Topic, seen: Callable[[Header, int], None]) -> None:
-        """Tell `seen`, in a Zenoh thread, the header and arrival [ns] of every message of a topic; bodies stay unread."""
+        """Tell `seen`, in a Zenoh thread, header and arrival [ns] of every message of a topic; bodies stay unread."""
 
         def arrive(sample: zenoh.Sample) -> None:
             now = self._clock()
