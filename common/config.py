@@ -90,14 +90,15 @@ def vehicle(tree: Tree) -> str:
 def as_toml(tree: Tree) -> str:
     """Write a tree as TOML, so that a child process can be given exactly this configuration."""
 
-    def line(key: str, value: Any) -> str:
-        return f"{key} = {msgspec.json.encode(value).decode()}"
+    return "\n".join(_toml_lines(tree, "")) + "\n"
 
-    lines = [line(k, v) for k, v in tree.items() if not isinstance(v, dict)]
+
+def _toml_lines(tree: Tree, path: str) -> list[str]:
+    lines = [f"{k} = {msgspec.json.encode(v).decode()}" for k, v in tree.items() if not isinstance(v, dict) and v is not None]
     for name, values in tree.items():
         if isinstance(values, dict):
-            lines += ["", f"[{name}]", *(line(k, v) for k, v in values.items() if v is not None)]
-    return "\n".join(lines) + "\n"
+            lines += ["", f"[{path}{name}]", *_toml_lines(values, f"{path}{name}.")]
+    return lines
 
 
 def _read(path: Path) -> Tree:
