@@ -94,7 +94,9 @@ def as_toml(tree: Tree) -> str:
 
 
 def _toml_lines(tree: Tree, path: str) -> list[str]:
-    lines = [f"{k} = {msgspec.json.encode(v).decode()}" for k, v in tree.items() if not isinstance(v, dict) and v is not None]
+    lines = [
+        f"{k} = {msgspec.json.encode(v).decode()}" for k, v in tree.items() if not isinstance(v, dict) and v is not None
+    ]
     for name, values in tree.items():
         if isinstance(values, dict):
             lines += ["", f"[{path}{name}]", *_toml_lines(values, f"{path}{name}.")]
