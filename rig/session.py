@@ -1,0 +1,130 @@
+"""One `forefield run`: router, services and the closed loop brought together, and a report whatever happens."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from common import config
+from common.bus import BusSettings, open_bus, router
+from common.config import ConfigError, Tree
+from rig.configuration import with_keys
+from rig.launcher import SERVICES, UP, Crew, LaunchError, launch
+from rig.live import LiveRun, Moment
+from rig.report import report
+from rig.settings import RigSettings
+from rig.statuses import Statuses
+from rig.stopping import StopRequest
+from rig.world import Scenario
+
+NEEDS = {"riskfield": ("warp", "riskfield"), "viz": ("rerun", "viz")}
+"""Module without which a service cannot start, and the extra that brings it."""
+
+Report = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a run is asked to do beyond its configuration."""
+
+    duration_s: float | None = None
+    attach: bool = False
+    """Services and router already run elsewhere; connect to `bus.connect`."""
+    loop: bool = False
+    """Again and again until told to stop."""
+    logs: Path | None = None
+
+
+def play(
+    scenario: Scenario, tree: Tree, options: Options, show: Callable[[Moment], None], done: Callable[[Report], None]
+) -> None:
+    """Bring everything up, drive, report, and take everything down.
+
+    Args:
+        scenario: the world.
+        tree: the resolved configuration.
+        options: how to run.
+        show: called with what there is to see while it runs.
+        done: called with the report of each drive: completed, failed, or as far as it got when it is told to stop.
+
+    Raises:
+        ConfigError: the configuration cannot be used on this machine.
+    """
+    with running(tree, services_for(tree), attach=options.attach, logs=options.logs) as (tree, crew):
+        while True:
+            _drive(scenario, tree, options, crew, show, done)
+            if not options.loop:
+                return
+
+
+def services_for(tree: Tree) -> tuple[str, ...]:
+    """Which services a run starts: viz only if there is something to record or to watch."""
+    viz = tree["viz"]
+    return (*SERVICES, "viz") if viz["record"] or viz["serve"] else SERVICES
+
+
+@contextmanager
+def running(
+    tree: Tree, names: tuple[str, ...], *, attach: bool = False, logs: Path | None = None, listen: str = ""
+) -> Iterator[tuple[Tree, Crew | None]]:
+    """Router and services, and the configuration with which they are reached; nothing of our own if attached.
+
+    Raises:
+        ConfigError: a package is missing, the router cannot listen, the logs cannot be written.
+        LaunchError: a process cannot be started.
+    """
+    if attach:
+        yield tree, None
+        return
+    for name in names:
+        module, extra = NEEDS.get(name, ("", ""))
+        if module and importlib.util.find_spec(module) is None:
+            raise ConfigError(f"{name} needs {module}: pip install 'forefield[{extra}]'")
+    with router(listen=listen, settings=config.section(tree, "bus", BusSettings)) as endpoint:
+        reach = endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
+        tree = with_keys(tree, "bus", connect=[reach], zenoh_config="")
+        with launch(tree, names, logs=logs) as crew:
+            yield tree, crew
+
+
+def _drive(
+    scenario: Scenario,
+    tree: Tree,
+    options: Options,
+    crew: Crew | None,
+    show: Callable[[Moment], None],
+    done: Callable[[Report], None],
+) -> None:
+    rig = config.section(tree, "rig", RigSettings)
+    duration = scenario.duration_s if options.duration_s is None else min(options.duration_s, scenario.duration_s)
+    with open_bus(config.section(tree, "bus", BusSettings), config.vehicle(tree), "rig") as bus:
+        statuses = Statuses(bus, SERVICES if crew is None else [c.name for c in crew.children])
+        live = LiveRun(bus, scenario, rig, statuses)
+        failures: list[str] = []
+        try:
+            if crew is None:
+                _wait_for_others(statuses, rig.ready_timeout_s, tree)
+                live.drive(duration, lambda: None, show)
+            else:
+                crew.wait_ready(statuses, rig.ready_timeout_s)
+                live.drive(duration, crew.check, show)
+        except LaunchError as e:
+            failures.append(str(e))
+        except StopRequest:
+            done(report(live, tree, failures))
+            raise
+    done(report(live, tree, failures))
+
+
+def _wait_for_others(statuses: Statuses, timeout_s: float, tree: Tree) -> None:
+    for _ in range(max(1, round(timeout_s / 0.1))):
+        statuses.update()
+        if all(statuses.state(name) in UP for name in SERVICES):
+            return
+        statuses.bus.wait(0.1)
+    words = "; ".join(f"{n}: {statuses.words(n)}" for n in SERVICES if statuses.state(n) not in UP)
+    raise LaunchError(f"services not up at {', '.join(tree['bus']['connect'])} after {timeout_s:g} s ({words})")
