@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import secrets
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -27,9 +29,16 @@ from common.config import ConfigError, Settings
 from common.health import Health
 from common.messages import Cause, Header, Message, Stamped
 from common.order import Order
-from common.topics import VERSION_MAJOR, VERSION_MINOR, Delivery, Topic, alive_key, key
+from common.topics import VERSION_MAJOR, VERSION_MINOR, Delivery, Topic, alive_key, checked_vehicle, key
 
 log = logging.getLogger("forefield.bus")
+
+ATTEMPT_MS = 500
+"""How long one attempt to reach the router may take [ms]."""
+
+
+class NoRouterError(Exception):
+    """The router was not reached before the caller stopped waiting."""
 
 
 class BusSettings(Settings, frozen=True):
@@ -67,7 +76,14 @@ def _client(settings: BusSettings) -> zenoh.Config:
         except zenoh.ZError as e:
             raise ConfigError(f"bus.zenoh_config: {path}: {e}") from None
     config = _built_in("client", settings)
-    config["connect"] = {"endpoints": list(settings.connect), "timeout_ms": -1, "exit_on_failure": False}
+    retry = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5}
+    # one attempt is short, because a blocked `zenoh.open` hears no SIGTERM; `_connect` repeats it
+    config["connect"] = {
+        "endpoints": list(settings.connect),
+        "timeout_ms": ATTEMPT_MS,
+        "exit_on_failure": True,
+        "retry": retry,
+    }
     return zenoh.Config.from_json5(json.dumps(config))
 
 
@@ -290,7 +306,14 @@ class Bus:
 
 @contextmanager
 def open_bus(
-    settings: BusSettings, vehicle: str, source: str, *, clock: Clock = monotonic, health: Health | None = None
+    settings: BusSettings,
+    vehicle: str,
+    source: str,
+    *,
+    clock: Clock = monotonic,
+    health: Health | None = None,
+    stop: threading.Event | None = None,
+    wait_s: float = math.inf,
 ) -> Iterator[Bus]:
     """Open a session; the router may come later and may restart.
 
@@ -300,20 +323,37 @@ def open_bus(
         source: name of this process, stated in every header.
         clock: monotonic clock [ns].
         health: where arrivals and refusals are counted; a new one if None.
+        stop: gives up waiting for the router once set.
+        wait_s: gives up after this long [s].
 
     Raises:
         ConfigError: the Zenoh configuration cannot be used.
+        NoRouterError: no router within `wait_s`, or `stop` was set.
     """
-    config = _client(settings)
-    try:
-        session = zenoh.open(config)
-    except zenoh.ZError as e:
-        raise ConfigError(f"[bus] cannot open a session: {e}") from None
+    checked_vehicle(vehicle)
+    session = _connect(settings, stop or threading.Event(), wait_s)
     bus = Bus(session, vehicle, source, clock, health or Health(source, clock))
     try:
         yield bus
     finally:
         bus.close()
+
+
+def _connect(settings: BusSettings, stop: threading.Event, wait_s: float) -> zenoh.Session:
+    where = settings.zenoh_config or ", ".join(settings.connect)
+    end = time.monotonic() + wait_s
+    told = False
+    while True:
+        config = _client(settings)
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as e:
+            if stop.is_set() or time.monotonic() >= end:
+                raise NoRouterError(f"no router at {where}: is it running, and is bus.connect right?") from None
+            if not told:
+                log.warning("waiting for the router at %s (%s)", where, str(e).split("  at ")[0])
+                told = True
+        stop.wait(0.1)
 
 
 def free_port() -> int:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from common import config
-from common.bus import Bus, BusSettings, Inbox, Publisher, open_bus
+from common.bus import Bus, BusSettings, Inbox, NoRouterError, Publisher, open_bus
 from common.clock import monotonic
 from common.codec import RefusedError
 from common.config import ConfigError, Settings, Tree
@@ -116,7 +116,10 @@ def main(service: Service) -> int:
             level=settings.log_level, stream=sys.stderr, format=f"%(asctime)s {service.name} %(levelname)s %(message)s"
         )
         return run(service, tree, settings)
-    except ConfigError as e:
+    except NoRouterError as e:
+        log.info("stopped: %s", e)
+        return 0
+    except (ConfigError, ValueError) as e:
         print(f"{service.name}: {e}", file=sys.stderr)
         return 2
 
@@ -125,18 +128,21 @@ def run(service: Service, tree: Tree, settings: ServiceSettings) -> int:
     """Open the bus, warm up, loop until SIGTERM or Ctrl-C."""
     stop = threading.Event()
     health = Health(service.name, monotonic)
-    bus_settings = config.section(tree, "bus", BusSettings)
-    with open_bus(bus_settings, config.vehicle(tree), service.name, health=health) as bus:
+    wake: list[Bus] = []
 
-        def end(*_: object) -> None:
-            stop.set()
+    def end(*_: object) -> None:
+        stop.set()
+        for bus in wake:
             bus.interrupt()
-            leave = threading.Timer(EXIT_DEADLINE_S, os._exit, (0,))
-            leave.daemon = True
-            leave.start()
+        leave = threading.Timer(EXIT_DEADLINE_S, os._exit, (0,))
+        leave.daemon = True
+        leave.start()
 
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, end)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, end)
+    bus_settings = config.section(tree, "bus", BusSettings)
+    with open_bus(bus_settings, config.vehicle(tree), service.name, health=health, stop=stop) as bus:
+        wake.append(bus)
         inboxes = {t.suffix: bus.inbox(t) for t in service.subscribes}
         output, status = bus.publisher(service.publishes), bus.publisher(STATUS_OF[service.name])
         bus.liveliness(service.name)

@@ -39,7 +39,10 @@ def lane(lane_id: int = 1, y: float = 0.0, length: float = 200.0, **changes: Any
 
 def world() -> m.Map:
     return m.Map(
-        lanes=[lane(1, right_type="road_edge", left_neighbour=2), lane(2, 3.5, left_type="road_edge", right_neighbour=1)],
+        lanes=[
+            lane(1, right_type="road_edge", left_neighbour=2),
+            lane(2, 3.5, left_type="road_edge", right_neighbour=1),
+        ],
         obstacles=[m.Obstacle(id=9, kind="stop_line", points=np.array([[80.0, -1.75], [80.0, 1.75]]))],
     )
 

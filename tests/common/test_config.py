@@ -34,8 +34,8 @@ def test_the_variable_names_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("setting", "says"),
     [
-        ("planner.sped=2", "sped"), ("planner.speed=fast", "speed"), ("plannr.speed=2", "plannr"), ("speed", "KEY=VALUE"),
-        ("planner=2", "section"),
+        ("planner.sped=2", "sped"), ("planner.speed=fast", "speed"), ("plannr.speed=2", "plannr"),
+        ("speed", "KEY=VALUE"), ("planner=2", "section"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_named(setting: str, says: str) -> None:

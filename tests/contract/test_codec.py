@@ -89,7 +89,7 @@ def refusal(name: str, change: Any) -> RefusedError:
         ("objects", lambda f: f["y"].update(shape=[2], data=bytes(16)), "shape", "y"),
         ("objects", lambda f: f.update(y=[1.0, 2.0, 3.0]), "type", "y"),
         ("objects", lambda f: f["id"].update(data=np.array([1, 1, 2]).tobytes()), "content", "id"),
-        ("map", lambda f: f["lanes"][1]["left"].update(data=np.full((26, 2), np.inf).tobytes()), "non_finite", "lanes[1]"),
+        ("map", lambda f: f["lanes"][1]["left"].update(data=np.full((26, 2), np.inf).tobytes()), "non_finite", "[1]"),
         ("map", lambda f: f["lanes"][0].update(left_type="wall"), "type", "left_type"),
         ("map", lambda f: f["lanes"][0]["centre"].update(shape=[1, 2], data=bytes(16)), "shape", "centre"),
         ("plan", lambda f: f["tail"]["speed"].update(data=np.ones(41).tobytes()), "content", "tail"),

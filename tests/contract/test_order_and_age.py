@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,7 +31,9 @@ def take(order: Order, boot: str, seq: int) -> str:
 
 def test_repeated_reordered_and_replaced_senders_are_told_apart() -> None:
     order = Order()
-    got = [take(order, b, s) for b, s in [("a", 0), ("a", 2), ("a", 2), ("a", 1), ("b", 0), ("a", 3), ("b", 1), ("a", 9)]]
+    got = [
+        take(order, b, s) for b, s in [("a", 0), ("a", 2), ("a", 2), ("a", 1), ("b", 0), ("a", 3), ("b", 1), ("a", 9)]
+    ]
     assert got == ["used", "used", "duplicate", "reordered", "used", "old_boot", "used", "old_boot"]
 
 
@@ -46,7 +50,7 @@ def test_used_sequence_numbers_never_go_back_and_boots_never_return(messages: li
     for boot, seq in messages:
         if take(order, boot, seq) == "used":
             used.append((boot, seq))
-    for (b0, s0), (b1, s1) in zip(used, used[1:], strict=False):
+    for (b0, s0), (b1, s1) in itertools.pairwise(used):
         assert b1 != b0 or s1 > s0
     boots = [b for i, (b, _) in enumerate(used) if i == 0 or used[i - 1][0] != b]
     assert len(boots) == len(set(boots))
