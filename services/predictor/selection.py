@@ -1,0 +1,100 @@
+"""Selection: which method predicts which object. A policy is a name; every policy is a pure function.
+
+- `paper`: off the lanes and with 30 frames of history → learned; on a lane → map; otherwise kinematic.
+- `learned-first`: with 30 frames of history → learned; otherwise on a lane → map; otherwise kinematic.
+- `map-first`: on a lane → map; otherwise kinematic.
+- `kinematic`: kinematic alone.
+
+Kinematic is CTRA for vehicles and cycles that turn or brake hard, constant velocity for all others and for
+pedestrians. Without a map every object counts as off the lanes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from common.messages import HISTORY_FRAMES, U8, Ego, Method, ObjectClass, Objects, Stamped
+from services.predictor.history import Bool, Frames
+from services.predictor.kinematic import Motion, State, braking
+from services.predictor.settings import KinematicSettings, Policy
+
+
+class Learned(Protocol):
+    """A learned predictor."""
+
+    def predict(self, objects: Objects, frames: Frames, ego: Stamped[Ego] | None, wanted: Bool) -> Motion:
+        """Motion of the objects where `wanted` (each with 30 frames of history), one row for each of these."""
+        ...
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a policy may look at, for n objects."""
+
+    on_lane: Bool
+    full: Bool
+    """30 frames of history."""
+    cls: U8
+    kinematic: U8
+    """CTRA or CONSTANT_VELOCITY."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The methods that are used, and where the learned one would have been."""
+
+    method: U8
+    missed: Bool
+    """The policy wants the learned predictor and there is none."""
+
+
+def choose(policy: Policy, known: Known, learned: bool) -> Choice:
+    """Methods of all objects; without a learned predictor its objects fall back to map and kinematic."""
+    fallback = map_first(known)
+    method = POLICIES[policy](known)
+    missed = (method == Method.LSTM) & (not learned)
+    return Choice(np.where(missed, fallback, method).astype(np.uint8), missed)
+
+
+def paper(known: Known) -> U8:
+    """As the paper prints it."""
+    return np.where(~known.on_lane & known.full, np.uint8(Method.LSTM), map_first(known))
+
+
+def learned_first(known: Known) -> U8:
+    """Learned wherever the history is long enough."""
+    return np.where(known.full, np.uint8(Method.LSTM), map_first(known))
+
+
+def map_first(known: Known) -> U8:
+    """Map wherever there is a lane."""
+    return np.where(known.on_lane, np.uint8(Method.MAP_BASED), known.kinematic)
+
+
+def kinematic(known: Known) -> U8:
+    """No map, nothing learned."""
+    return known.kinematic
+
+
+POLICIES: dict[Policy, Callable[[Known], U8]] = {
+    "paper": paper,
+    "learned-first": learned_first,
+    "map-first": map_first,
+    "kinematic": kinematic,
+}
+
+
+def kinematic_method(state: State, cls: U8, settings: KinematicSettings) -> U8:
+    """CTRA for vehicles and cycles that turn or brake hard, otherwise constant velocity."""
+    wheeled = (cls != ObjectClass.PEDESTRIAN) & (cls != ObjectClass.UNKNOWN)
+    steady = (state.turn_rate == 0.0) & (braking(state.acceleration, settings) == 0.0)
+    return np.where(wheeled & ~steady, np.uint8(Method.CTRA), np.uint8(Method.CONSTANT_VELOCITY))
+
+
+def full_history(frames: Frames) -> Bool:
+    """Whether all 30 frames are known."""
+    return np.asarray(frames.steps >= HISTORY_FRAMES - 1)
