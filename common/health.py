@@ -2,19 +2,12 @@
 
 Every input carries three flags: `alive` (something arrived within its time), `rate_ok` and `valid` (the last one was
 accepted). A new input starts with all three down: it fails closed.
-
-`python -m common.health FILE [--max-age S]` is the containers' healthcheck: it exits 0 if the heartbeat file was
-touched within S seconds (default 3), otherwise 1. It opens no session.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 import threading
-import time
 from collections import Counter, deque
-from pathlib import Path
 
 import numpy as np
 
@@ -146,24 +139,3 @@ class Health:
                 work_ms={"p50": float(p50), "p95": float(p95), "p99": float(p99), "max": float(top)},
                 detail=dict(self.detail),
             )
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Healthcheck of a container: was the heartbeat file touched lately?"""
-    parser = argparse.ArgumentParser(prog="python -m common.health", description=main.__doc__)
-    parser.add_argument("file", type=Path, help="the heartbeat file (setting service.heartbeat)")
-    parser.add_argument("--max-age", type=float, default=3.0, metavar="S", help="oldest good heartbeat [s]")
-    options = parser.parse_args(arguments)
-    try:
-        age = time.time() - options.file.stat().st_mtime
-    except OSError as e:
-        print(f"no heartbeat: {e}", file=sys.stderr)
-        return 1
-    if not age <= options.max_age:
-        print(f"the last heartbeat is {age:.1f} s old", file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -197,10 +197,12 @@ def _step(service: Service, health: Health, output: Publisher, step: Step, input
     except RefusedError as e:
         health.count(f"{service.publishes.suffix}:not_sent_{e.reason}")
         result = Idle(f"own {service.publishes.suffix} broke its contract: {e}", "degraded")
+        health.detail["last_error"] = result.reason
     except Exception as e:
         health.count(f"step:{type(e).__name__}")
         log.exception("step failed")
         result = Idle(f"step failed: {type(e).__name__}: {e}", "degraded")
+        health.detail["last_error"] = result.reason
     if health.say(result.state, result.reason):
         log.info("%s: %s", result.state, result.reason)
 

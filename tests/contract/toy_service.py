@@ -1,0 +1,39 @@
+"""A service as small as can be, to test the loop that every service runs: it answers objects with a prediction.
+
+What it does with a message hangs on the first object's x: −1 raises, −2 breaks its own contract, −3 is fatal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from common import topics
+from common.config import Tree
+from common.health import Health
+from common.service import FatalError, Idle, Inputs, Output, Service, Step, main
+from tests import samples
+
+
+def build(tree: Tree, health: Health) -> Step:
+    health.detail["toy"] = str(tree.get("predictor", {}))
+
+    def step(inputs: Inputs) -> Output | Idle:
+        objects = inputs.fresh(topics.OBJECTS)
+        if objects is None:
+            return Idle("no fresh objects")
+        code = objects.value.x[0]
+        if code == -1:
+            raise KeyError("as asked")
+        if code == -3:
+            raise FatalError("as asked")
+        x0 = np.full(3, np.nan if code == -2 else code)
+        prediction = samples.prediction(x0=x0)
+        return Output(prediction, objects.capture_ns, objects.descent(), objects.received_ns)
+
+    return step
+
+
+if __name__ == "__main__":
+    raise SystemExit(
+        main(Service("predictor", (topics.OBJECTS, topics.MAP), topics.PREDICTION, topics.OBJECTS, 0.05, build))
+    )
