@@ -71,7 +71,7 @@ class Predictor:
         history = frames(tracks, seen.id)
         state = estimate(seen, history, settings.kinematic)
         match, on_lane = self._match(seen, state, map)
-        known = Known(on_lane, full_history(history), seen.cls, kinematic_method(state, seen.cls, settings.kinematic))
+        known = Known(on_lane, full_history(history), seen.cls, kinematic_method(state, seen.cls))
         choice = choose(settings.policy, known, self._learned is not None)
         self.detail = _detail(settings.policy, choice)
         motion = self._predict(seen, ego, history, state, match, choice)

@@ -2,10 +2,12 @@
 
 The state is estimated from the past alone, by backward differences. With p_k the position k frames ago and τ = 0.1 s:
 
-    v   = (p_0 − p_k) / (k τ)                                   mean of the last k steps
-    ω   = (∠(p_0 − p_h) − ∠(p_h − p_2h)) / (h τ)                 turn rate, from the two halves of the last second
-    v_i = |chord_i| / (h τ) · φ / sin φ,   φ = ω h τ / 2          speed in each half, exact on a circle
-    a   = (v_2 − v_1) / (h τ)                                   acceleration along the path
+    v = (p_0 − p_k) / (k τ)                                      mean of the last k steps
+    ω = (∠(p_0 − p_5) − ∠(p_5 − p_10)) / 5τ                       turn rate, from the two halves of a second
+    a = (|p_0 − p_5| − |p_5 − p_10|) / (5τ)² · φ / sin φ           acceleration along the path; φ = ω 5τ / 2
+
+ω and a are taken from the last second and from the second that ended half a second ago, and only what both say
+counts: noise seldom says the same twice.
 """
 
 from __future__ import annotations
@@ -15,13 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.geometry import wrap_angle
-from common.messages import F64, FRAME_S, PREDICTION_FRAMES, SPEED_LIMIT, Objects
+from common.messages import F64, FRAME_S, PREDICTION_FRAMES, SPEED_LIMIT, ObjectClass, Objects
 from services.predictor.history import Bool, Frames
 from services.predictor.settings import KinematicSettings
 
 HALF = 5
-"""Frames in each half of the window that gives turn rate and acceleration; at least HALF_LEAST."""
-HALF_LEAST = 3
+"""Frames in each half of the second that gives turn rate and acceleration."""
 VELOCITY_LEAST = 3
 """Fewest steps of history whose mean is preferred to the velocity in the message."""
 TURN_AROUND = 1.5
@@ -61,10 +62,10 @@ def estimate(objects: Objects, frames: Frames, settings: KinematicSettings) -> S
     """Current motion of the objects, from their histories.
 
     With fewer than three steps of history the velocity is the message's. The velocity of what moved less than
-    `standing_mps` over the last second is zero, so that noise neither moves nor turns standing objects.
+    `standing_mps` over the last second is zero, so that noise neither moves nor turns standing objects. Turn rate and
+    acceleration need 1.5 s of history.
     """
-    n = len(objects.id)
-    rows, steps = np.arange(n), frames.steps
+    rows, steps = np.arange(len(objects.id)), frames.steps
     x0, y0 = frames.x[:, 0], frames.y[:, 0]
 
     def velocity(k: np.ndarray[tuple[int], np.dtype[np.int64]]) -> tuple[F64, F64]:
@@ -72,49 +73,58 @@ def estimate(objects: Objects, frames: Frames, settings: KinematicSettings) -> S
         return (x0 - frames.x[rows, k]) / span, (y0 - frames.y[rows, k]) / span
 
     known = steps >= VELOCITY_LEAST
-    vx, vy = velocity(np.minimum(steps, settings.velocity_steps))
+    walks = objects.cls == ObjectClass.PEDESTRIAN
+    wanted = np.where(walks, settings.pedestrian_steps, settings.velocity_steps)
+    k = np.minimum(steps, wanted)
+    vx, vy = velocity(k)
     vx, vy = np.where(known, vx, objects.vx), np.where(known, vy, objects.vy)
     wx, wy = velocity(np.minimum(steps, 2 * HALF))
-    window = np.where(known, np.hypot(wx, wy), np.hypot(vx, vy))
-    fast = SPEED_LIMIT / np.maximum(np.hypot(vx, vy), SPEED_LIMIT)
-    factor = fast * _fade_in(window, settings.standing_mps)
+    believed = _fade_in(np.where(known, np.hypot(wx, wy), np.hypot(vx, vy)), settings.standing_mps)
+    factor = believed * SPEED_LIMIT / np.maximum(np.hypot(vx, vy), SPEED_LIMIT)
     vx, vy = vx * factor, vy * factor
-    v = np.hypot(vx, vy)
-    heading = wrap_angle(objects.heading)
+    v, heading = np.hypot(vx, vy), wrap_angle(objects.heading)
 
-    # the two halves of the last second
-    h = np.minimum(steps // 2, HALF)
-    halves = h >= HALF_LEAST
-    xh, yh = frames.x[rows, h], frames.y[rows, h]
-    x2, y2 = x0 - xh, y0 - yh
-    x1, y1 = xh - frames.x[rows, 2 * h], yh - frames.y[rows, 2 * h]
-    span = FRAME_S * np.maximum(h, 1)
-    v1, v2 = np.hypot(x1, y1) / span, np.hypot(x2, y2) / span
-    change = wrap_angle(np.arctan2(y2, x2) - np.arctan2(y1, x1))
-    halves &= np.abs(change) < TURN_AROUND
-    omega = np.where(halves, change, 0.0) / span
-    arc = 1.0 / np.sinc(omega * span / (2 * np.pi))  # φ / sin φ
-    v1, v2 = v1 * arc, v2 * arc
-    a = np.where(halves, (v2 - v1) / span, 0.0)
-    a = np.clip(a, -settings.deceleration_max_mps2, settings.acceleration_max_mps2)
-    a = a * _fade_in(window, settings.standing_mps)
-    bound = np.minimum(settings.turn_rate_max, settings.lateral_max_mps2 / np.maximum(v2, 1e-3))
-    omega = np.clip(omega, -bound, bound) * _fade_in(np.minimum(v1, v2), settings.turn_from_mps)
-    turning = np.abs(omega) >= settings.turn_rate_min
+    turns, accelerations = zip(*(_halves(frames, back, settings) for back in (0, HALF)), strict=True)
+    a = _common(*accelerations)
+    a = np.clip(a, -settings.deceleration_max_mps2, settings.acceleration_max_mps2) * believed
+    a = np.where((np.abs(a) >= settings.acceleration_min_mps2) & (v > 0), a, 0.0)
+    omega = _common(*turns)
+    bound = np.minimum(settings.turn_rate_max, settings.lateral_max_mps2 / np.maximum(v, 1e-3))
+    omega = np.clip(omega, -bound, bound) * _fade_in(v, settings.turn_from_mps)
+    omega = np.where(np.abs(omega) >= settings.turn_rate_min, omega, 0.0)
 
-    speed = np.where(halves, np.maximum(v2 + a * span / 2, 0.0), v)
-    course = np.where(turning, np.arctan2(y2, x2) + omega * span / 2, np.arctan2(vy, vx))
+    # the mean velocity is that of half its span ago, and its chord is shorter than the arc
+    since = np.where(known, FRAME_S * k / 2, 0.0)
+    speed = v / np.sinc(omega * since / np.pi) + a * since
+    course = np.where(v > 0, np.arctan2(vy, vx) + omega * since, heading)
     return State(
         x=objects.x,
         y=objects.y,
         heading=heading,
         vx=vx,
         vy=vy,
-        speed=np.minimum(speed, SPEED_LIMIT) * (v > 0),
-        course=wrap_angle(np.where(v > 0, course, heading)),
-        turn_rate=np.where(turning & (v > 0), omega, 0.0),
-        acceleration=np.where(v > 0, a, 0.0),
+        speed=np.clip(speed, 0.0, SPEED_LIMIT),
+        course=wrap_angle(course),
+        turn_rate=omega,
+        acceleration=a,
     )
+
+
+def _halves(frames: Frames, back: int, settings: KinematicSettings) -> tuple[F64, F64]:
+    """ω and a of the second that ended `back` frames ago; 0 where it was not seen, or was no smooth turn."""
+    span = HALF * FRAME_S
+    (x0, y0), (x1, y1), (x2, y2) = ((frames.x[:, k], frames.y[:, k]) for k in (back, back + HALF, back + 2 * HALF))
+    change = wrap_angle(np.arctan2(y0 - y1, x0 - x1) - np.arctan2(y1 - y2, x1 - x2))
+    v1, v2 = np.hypot(x1 - x2, y1 - y2) / span, np.hypot(x0 - x1, y0 - y1) / span
+    smooth = (frames.steps >= back + 2 * HALF) & (np.abs(change) < TURN_AROUND)
+    turning = smooth & (np.minimum(v1, v2) >= settings.turn_from_mps)
+    change = np.where(turning, change, 0.0)
+    return change / span, np.where(smooth, (v2 - v1) / (span * np.sinc(change / (2 * np.pi))), 0.0)
+
+
+def _common(a: F64, b: F64) -> F64:
+    """What both say: the smaller magnitude where the signs agree, otherwise 0."""
+    return np.asarray(np.where(a * b > 0, np.copysign(np.minimum(np.abs(a), np.abs(b)), a), 0.0))
 
 
 def constant_velocity(state: State) -> Motion:
@@ -130,7 +140,7 @@ def constant_velocity(state: State) -> Motion:
 
 
 def ctra(state: State, settings: KinematicSettings) -> Motion:
-    """Constant turn rate, with the speeds of `speeds_ahead`; the turn ends with the motion.
+    """Turn rate and acceleration go on as `speeds_ahead` and `turn_decay_s` say; the turn ends with the motion.
 
     Each step is the chord of an arc: Δs · sin(Δψ/2) / (Δψ/2) along the mean course; the body turns with the course.
     """
@@ -139,7 +149,8 @@ def ctra(state: State, settings: KinematicSettings) -> Motion:
     v_mean = (before + v) / 2
     # the turn rate is held while the speed is, and falls with it
     share = np.minimum(v_mean / np.maximum(state.speed, 1e-9)[:, None], 1.0)
-    turn = state.turn_rate[:, None] * FRAME_S * share
+    mid = FRAME_S * (np.arange(PREDICTION_FRAMES) + 0.5)
+    turn = state.turn_rate[:, None] * FRAME_S * share * np.exp(-mid / settings.turn_decay_s)
     turned = np.cumsum(turn, axis=1)
     chord = v_mean * FRAME_S * np.sinc(turn / (2 * np.pi))
     course = state.course[:, None] + turned - turn / 2

@@ -5,7 +5,7 @@
 - `map-first`: on a lane → map; otherwise kinematic.
 - `kinematic`: kinematic alone.
 
-Kinematic is CTRA for vehicles and cycles that turn or brake hard, constant velocity for all others and for
+Kinematic is CTRA for vehicles and cycles that turn or change speed, constant velocity for all others and for
 pedestrians. Without a map every object counts as off the lanes.
 """
 
@@ -19,8 +19,8 @@ import numpy as np
 
 from common.messages import HISTORY_FRAMES, U8, Ego, Method, ObjectClass, Objects, Stamped
 from services.predictor.history import Bool, Frames
-from services.predictor.kinematic import Motion, State, braking
-from services.predictor.settings import KinematicSettings, Policy
+from services.predictor.kinematic import Motion, State
+from services.predictor.settings import Policy
 
 
 class Learned(Protocol):
@@ -88,10 +88,10 @@ POLICIES: dict[Policy, Callable[[Known], U8]] = {
 }
 
 
-def kinematic_method(state: State, cls: U8, settings: KinematicSettings) -> U8:
-    """CTRA for vehicles and cycles that turn or brake hard, otherwise constant velocity."""
+def kinematic_method(state: State, cls: U8) -> U8:
+    """CTRA for vehicles and cycles that turn or change speed, otherwise constant velocity."""
     wheeled = (cls != ObjectClass.PEDESTRIAN) & (cls != ObjectClass.UNKNOWN)
-    steady = (state.turn_rate == 0.0) & (braking(state.acceleration, settings) == 0.0)
+    steady = (state.turn_rate == 0.0) & (state.acceleration == 0.0)
     return np.where(wheeled & ~steady, np.uint8(Method.CTRA), np.uint8(Method.CONSTANT_VELOCITY))
 
 

@@ -36,8 +36,10 @@ class HistorySettings(Settings, frozen=True, kw_only=True):
 class KinematicSettings(Settings, frozen=True, kw_only=True):
     """Constant velocity, and constant turn rate and acceleration."""
 
-    velocity_steps: Annotated[int, Meta(ge=3, le=10)] = 4
+    velocity_steps: Annotated[int, Meta(ge=3, le=10)] = 3
     """The current velocity is the mean of so many backward steps of 0.1 s."""
+    pedestrian_steps: Annotated[int, Meta(ge=3, le=10)] = 5
+    """The same for pedestrians."""
     standing_mps: Positive = 0.2
     """Mean speed over the last second up to which an object stands; its velocity fades in up to twice this [m/s]."""
     turn_from_mps: Positive = 1.0
@@ -46,8 +48,12 @@ class KinematicSettings(Settings, frozen=True, kw_only=True):
     """Bound of the turn rate [rad/s]."""
     turn_rate_min: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.1
     """A smaller turn rate is taken for noise [rad/s]."""
+    turn_decay_s: Annotated[float, Meta(gt=0.0, le=1e9)] = 2.0
+    """Time constant with which a turn fades [s]; a very large one gives the constant turn rate."""
     lateral_max_mps2: Positive = 6.0
     """Bound of speed × turn rate [m/s²]."""
+    acceleration_min_mps2: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.1
+    """A smaller acceleration is taken for noise [m/s²]."""
     acceleration_max_mps2: Positive = 4.0
     deceleration_max_mps2: Positive = 9.0
     acceleration_decay_s: Positive = 1.0
