@@ -1,0 +1,359 @@
+"""The risk field on the device: one Warp source for `cpu` and `cuda`.
+
+A task is one run of columns of one row of blocks (4 grid rows) of one slice; objects are the outer loop and cells the
+inner one, over a local accumulator, so that the compiler can vectorise. The length of a run is a launch parameter: wide
+on the CPU, one block on CUDA. All coordinates are the grid's own, so that float32 keeps its digits on any map.
+
+What is left out of a loop is exactly zero there: the potential ends at the taper's radius, the kinetic term at its
+horizon and beside its strip, a static line at its half-width. Equations: `common.risk`.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+OBJECT_FIELDS = (
+    "x", "y", "cos", "sin", "half_length", "half_width", "A", "radius", "M2", "inverse_L", "reach", "sign", "s0",
+    "length", "width", "kinetic_low", "kinetic_high", "segment_first", "segment_last",
+)  # fmt: skip
+"""A row of `objects`: one object in one slice, see `services.riskfield.packing`."""
+SEGMENT_FIELDS = ("x", "y", "tx", "ty", "s", "low", "high", "before_x", "before_y", "turn")
+"""A row of `segments`: one segment of one object's path."""
+LINE_FIELDS = (
+    "x", "y", "tx", "ty", "length", "next_x", "next_y", "half_width", "k_s", "flat", "side", "depth", "kind", "index",
+    "x_low", "x_high", "along_low", "along_high", "beside_low", "beside_high",
+)  # fmt: skip
+"""A row of `lines`: one segment of one static line."""
+CPU_RUN = 256
+"""Longest run of cells for one task on the CPU; CUDA takes one block."""
+
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "fast_math": True,
+        "cpu_compiler_flags": "-march=native -ffast-math -mprefer-vector-width=512 -w",
+    }
+)
+
+
+@wp.struct
+class Volume:
+    """Everything the kernels read and write; flat arrays, C order."""
+
+    slices: int
+    rows: int
+    columns: int
+    h: float
+    objects_count: int
+    segments_stride: int
+    lines_count: int
+    run: int
+    half: int  # 1: float16 into volume16, 0: float32 into volume32
+    paper: int  # 1: the printed kinetic term
+    k1: float
+    e_max: float
+    taper_radius: float
+    taper_start: float
+    t: float
+    d0: float
+    E_k: float
+    objects: wp.array(dtype=float)  # [slices, objects_count, len(OBJECT_FIELDS)]
+    segments: wp.array(dtype=float)  # [objects_count, segments_stride, len(SEGMENT_FIELDS)]
+    lines: wp.array(dtype=float)  # [lines_count, len(LINE_FIELDS)]
+    static_sum: wp.array(dtype=float)  # [rows, columns]
+    static_best: wp.array(dtype=float)  # largest single share
+    static_line: wp.array(dtype=int)  # its line, −1: none
+    volume16: wp.array(dtype=wp.uint16)  # bits of float16
+    volume32: wp.array(dtype=float)
+    dominant: wp.array(dtype=int)  # [slices, rows / 4, columns / 4]: 2 o, 2 o + 1, 2 objects_count + line, −1
+
+
+# y-range of the cells of a row in which `al` and `pe` (along and beside a segment) may lie in their ranges
+_WINDOW = """
+    auto window = [&](float rx, float tx, float ty, float a0, float a1, float p0, float p1, float& lo, float& hi) {
+        lo = -1.0e5f; hi = 1.0e5f;
+        if (ty > 1.0e-4f || ty < -1.0e-4f) {
+            const float i = 1.0f / ty, u = (a0 - rx * tx) * i, v = (a1 - rx * tx) * i;
+            lo = u < v ? u : v; hi = u < v ? v : u;
+        } else if (rx * tx < a0 - 1.0f || rx * tx > a1 + 1.0f) { hi = lo; return; }
+        if (tx > 1.0e-4f || tx < -1.0e-4f) {
+            const float i = 1.0f / tx, u = (p0 + rx * ty) * i, v = (p1 + rx * ty) * i;
+            const float l = u < v ? u : v, m = u < v ? v : u;
+            lo = l > lo ? l : lo; hi = m < hi ? m : hi;
+        } else if (-rx * ty < p0 - 1.0f || -rx * ty > p1 + 1.0f) { hi = lo; return; }
+    };
+    auto clip = [&](float y0, float y1, int c0, int c1, int& j0, int& j1) {
+        const float low = (float)c0, high = (float)c1;
+        float a = y0 / p.h - 1.0f, b = y1 / p.h + 1.0f;
+        a = a < low ? low : a; a = a > high ? high : a;
+        b = b > high ? high : b; b = b < low ? low : b;
+        j0 = (int)a; j1 = (int)b + 1; if (j1 > c1) j1 = c1;
+    };
+"""
+
+_MATHS = """
+    auto sq = [](float v) { return sqrtf(v); };
+    auto ln1p = [](float v) {
+#ifdef __CUDA_ARCH__
+        return log1pf(v);
+#else
+        // ln(1 + v), v >= 0, to 1e-7: exponent and a polynomial in the mantissa, so that the loop vectorises
+        union { float f; int i; } x; x.f = 1.0f + v;
+        int e = (x.i >> 23) - 127;
+        x.i = (x.i & 0x7fffff) | 0x3f800000;
+        const int big = x.f > 1.41421356f ? 1 : 0;
+        const float m = (big ? 0.5f * x.f : x.f) - 1.0f, ef = (float)(e + big), z = m * m;
+        float y = 7.0376836292e-2f;
+        y = y * m - 1.1514610310e-1f; y = y * m + 1.1676998740e-1f; y = y * m - 1.2420140846e-1f;
+        y = y * m + 1.4249322787e-1f; y = y * m - 1.6668057665e-1f; y = y * m + 2.0000714765e-1f;
+        y = y * m - 2.4999993993e-1f; y = y * m + 3.3333331174e-1f;
+        return m - 0.5f * z + m * z * y + ef * 0.69314718056f;
+#endif
+    };
+    auto max0 = [](float v) { return v > 0.0f ? v : 0.0f; };
+"""
+
+# pE with its taper, at a cell (x, y); uses q, the object's row
+_POTENTIAL = """
+    const float taper_z = 1.0f / (p.taper_radius * (1.0f - p.taper_start));
+    const float taper_0 = p.taper_start / (1.0f - p.taper_start);
+    auto potential = [&](const float* q, float dx, float dy) {
+        float lx = q[2] * dx + q[3] * dy, ly = q[2] * dy - q[3] * dx;
+        lx = max0((lx < 0.0f ? -lx : lx) - q[4]); ly = max0((ly < 0.0f ? -ly : ly) - q[5]);
+        const float d2 = lx * lx + ly * ly, d = sq(d2);
+        const float power = square ? d2 : (linear ? d : powf(d, p.k1));
+        float z = max0(d * taper_z - taper_0); z = z > 1.0f ? 1.0f : z;
+        return q[6] * (1.0f - z * z * (3.0f - 2.0f * z)) / (power + q[6] / p.e_max);
+    };
+    auto kinetic = [&](const float* q, const float* g, float rx, float ry) {
+        const float al = rx * g[2] + ry * g[3], pe = ry * g[2] - rx * g[3];
+        const float below = al < g[5] ? al - g[5] : 0.0f;
+        const bool counts = al <= g[6] && (al >= g[5] || rx * g[7] + ry * g[8] > 0.0f);
+        const float s = g[4] + al - below - q[12], d2 = pe * pe + below * below;
+        const float lateral = max0(1.0f - d2 / (q[14] * q[14]));
+        float e;
+        if (p.paper) {
+            const float root = sq(lateral), ahead = q[11] * s;
+            const float D_w = ahead / (root > 1.0e-6f ? root : 1.0e-6f), rest = q[10] - D_w;
+            const bool defined = ahead > 0.0f && rest > 0.0f && root > 1.0e-6f;
+            const float product = D_w * rest;
+            e = p.t / (defined && product > 1.0e-9f ? product : 1.0e-9f);
+            e = defined ? (e < p.e_max ? e : p.e_max) : 0.0f;
+        } else {
+            const float xi = q[11] * s - 0.5f * q[13];
+            float b = 1.0f + (xi < 0.0f ? xi : 0.0f) / q[13]; b = max0(b);
+            const float K = q[8] * max0(sq(lateral) / (max0(xi) + p.d0) - q[9]);
+            const float v = p.E_k * ln1p(K);
+            e = b * lateral * v / (1.0f + v / p.e_max);
+        }
+        return counts ? e : 0.0f;
+    };
+"""
+
+_FIELD = (
+    """
+#ifdef __CUDA_ARCH__
+    const int MOST = 16;
+#else
+    const int MOST = 256;
+#endif
+    const int NO = 19, NS = 10;
+    const bool square = p.k1 == 2.0f, linear = p.k1 == 1.0f;
+    const int runs = (p.columns + p.run - 1) / p.run, blocks = p.rows / 4;
+    const int slice = task / (blocks * runs), block = (task / runs) % blocks;
+    const int c0 = (task % runs) * p.run, c1 = c0 + p.run < p.columns ? c0 + p.run : p.columns, cells = c1 - c0;
+    const float* objects = p.objects.data + (long long)slice * p.objects_count * NO;
+    float acc[4 * MOST], kin[MOST];
+"""
+    + _WINDOW
+    + _MATHS
+    + _POTENTIAL
+    + """
+    for (int r = 0; r < 4; ++r) {
+        const int row = 4 * block + r;
+        const float x = (row + 0.5f) * p.h;
+        float* sum = acc + r * MOST;
+        const float* still = p.static_sum.data + (long long)row * p.columns + c0;
+        for (int j = 0; j < cells; ++j) sum[j] = still[j];
+        for (int o = 0; o < p.objects_count; ++o) {
+            const float* q = objects + o * NO;
+            const float dx = x - q[0], ddx = q[7] * q[7] - dx * dx;
+            int j0, j1;
+            if (ddx > 0.0f) {
+                const float half = sq(ddx);
+                clip(q[1] - half, q[1] + half, c0, c1, j0, j1);
+                for (int j = j0; j < j1; ++j) sum[j - c0] += potential(q, dx, (j + 0.5f) * p.h - q[1]);
+            }
+            if (x < q[15] || x > q[16]) continue;
+            const float* path = p.segments.data + (long long)o * p.segments_stride * NS;
+            const int k0 = (int)q[17], k1 = (int)q[18];
+            const float s_low = q[12] + (q[11] > 0.0f ? -0.5f * q[13] : -0.5f * q[13] - q[10]);
+            const float s_high = q[12] + (q[11] > 0.0f ? 0.5f * q[13] + q[10] : 0.5f * q[13]);
+            int low = c1, high = c0;
+            for (int k = k0; k <= k1; ++k) {
+                const float* g = path + k * NS;
+                const float rx = x - g[0];
+                float a0 = s_low - g[4], a1 = s_high - g[4], y0, y1;
+                a0 = (a0 > g[5] ? a0 : g[5]) - q[14] * g[9]; a1 = a1 < g[6] ? a1 : g[6];
+                window(rx, g[2], g[3], a0 - 0.01f, a1 + 0.01f, -q[14], q[14], y0, y1);
+                if (y0 >= y1) continue;
+                clip(g[1] + y0, g[1] + y1, c0, c1, j0, j1);
+                if (j0 >= j1) continue;
+                if (low >= high) { low = j0; high = j1; for (int j = j0; j < j1; ++j) kin[j - c0] = 0.0f; }
+                for (int j = j0; j < low; ++j) kin[j - c0] = 0.0f;
+                for (int j = high; j < j1; ++j) kin[j - c0] = 0.0f;
+                low = j0 < low ? j0 : low; high = j1 > high ? j1 : high;
+                for (int j = j0; j < j1; ++j) {
+                    const float e = kinetic(q, g, rx, (j + 0.5f) * p.h - g[1]);
+                    kin[j - c0] = e > kin[j - c0] ? e : kin[j - c0];
+                }
+            }
+            for (int j = low; j < high; ++j) sum[j - c0] += kin[j - c0];
+        }
+        const long long at = ((long long)slice * p.rows + row) * p.columns + c0;
+        if (p.half) {
+            unsigned short* out = (unsigned short*)p.volume16.data + at;
+            for (int j = 0; j < cells; ++j) {
+                // round to nearest even; every value is >= 0 and below 65504
+                union { float f; unsigned int i; } v; v.f = (sum[j] < 6.0e4f ? sum[j] : 6.0e4f) * 1.92592994e-34f;
+                out[j] = (unsigned short)((v.i + 0xfffu + ((v.i >> 13) & 1u)) >> 13);
+            }
+        } else {
+            float* out = p.volume32.data + at;
+            for (int j = 0; j < cells; ++j) out[j] = sum[j] < 6.0e4f ? sum[j] : 6.0e4f;
+        }
+    }
+
+    // the source with the largest share at each block's highest cell
+    const int bs = (cells + 3) / 4;
+    float bx[MOST / 4], by[MOST / 4], best[MOST / 4];
+    int id[MOST / 4];
+    for (int b = 0; b < bs; ++b) {
+        float top = -1.0f; int tr = 0, tc = 0;
+        for (int r = 0; r < 4; ++r)
+            for (int c = 4 * b; c < 4 * b + 4 && c < cells; ++c)
+                if (acc[r * MOST + c] > top) { top = acc[r * MOST + c]; tr = r; tc = c; }
+        const long long at = (long long)(4 * block + tr) * p.columns + c0 + tc;
+        bx[b] = (4 * block + tr + 0.5f) * p.h; by[b] = (c0 + tc + 0.5f) * p.h;
+        best[b] = p.static_best.data[at];
+        id[b] = best[b] > 0.0f ? 2 * p.objects_count + p.static_line.data[at] : -1;
+    }
+    const float x_mid = (4 * block + 2) * p.h;
+    for (int o = 0; o < p.objects_count; ++o) {
+        const float* q = objects + o * NO;
+        float dx = x_mid - q[0]; dx = max0((dx < 0.0f ? -dx : dx) - 2.0f * p.h);
+        const float ddx = q[7] * q[7] - dx * dx;
+        if (ddx > 0.0f) {
+            const float half = sq(ddx);
+            int j0, j1; clip(q[1] - half, q[1] + half, c0, c1, j0, j1);
+            const int b0 = (j0 - c0) / 4, b1 = (j1 - c0 + 3) / 4;
+            for (int b = b0; b < b1; ++b) {
+                const float e = potential(q, bx[b] - q[0], by[b] - q[1]);
+                id[b] = e > best[b] ? 2 * o : id[b]; best[b] = e > best[b] ? e : best[b];
+            }
+        }
+        if (x_mid + 2.0f * p.h < q[15] || x_mid - 2.0f * p.h > q[16]) continue;
+        const float* path = p.segments.data + (long long)o * p.segments_stride * NS;
+        const int k0 = (int)q[17], k1 = (int)q[18];
+        for (int k = k0; k <= k1; ++k) {
+            const float* g = path + k * NS;
+            // the blocks a segment may reach: its own extent, widened by the strip
+            float a0 = g[5] - q[14] * g[9], a1 = g[6];
+            const float s_low = q[12] - 0.5f * q[13] - q[10] - g[4], s_high = q[12] + 0.5f * q[13] + q[10] - g[4];
+            a0 = a0 > s_low ? a0 : s_low; a1 = a1 < s_high ? a1 : s_high;
+            const float ends[4] = {g[0] + a0 * g[2], g[0] + a1 * g[2], g[1] + a0 * g[3], g[1] + a1 * g[3]};
+            const float xl = (ends[0] < ends[1] ? ends[0] : ends[1]) - q[14];
+            const float xh = (ends[0] < ends[1] ? ends[1] : ends[0]) + q[14];
+            if (xh < x_mid - 2.0f * p.h || xl > x_mid + 2.0f * p.h) continue;
+            const float yl = (ends[2] < ends[3] ? ends[2] : ends[3]) - q[14];
+            const float yh = (ends[2] < ends[3] ? ends[3] : ends[2]) + q[14];
+            int j0, j1; clip(yl, yh, c0, c1, j0, j1);
+            const int b0 = (j0 - c0) / 4, b1 = (j1 - c0 + 3) / 4;
+            for (int b = b0; b < b1; ++b) {
+                const float e = kinetic(q, g, bx[b] - g[0], by[b] - g[1]);
+                id[b] = e > best[b] ? 2 * o + 1 : id[b]; best[b] = e > best[b] ? e : best[b];
+            }
+        }
+    }
+    const int block_columns = (p.columns + 3) / 4;
+    int* named = p.dominant.data + ((long long)slice * blocks + block) * block_columns + c0 / 4;
+    for (int b = 0; b < bs; ++b) named[b] = id[b];
+"""
+)
+
+_STATIC = (
+    """
+#ifdef __CUDA_ARCH__
+    const int MOST = 16;
+#else
+    const int MOST = 256;
+#endif
+    const int NL = 20;
+    const int runs = (p.columns + p.run - 1) / p.run, row = task / runs;
+    const int c0 = (task % runs) * p.run, c1 = c0 + p.run < p.columns ? c0 + p.run : p.columns;
+    const float x = (row + 0.5f) * p.h;
+    float best[2 * MOST];
+    int line[2 * MOST];
+"""
+    + _WINDOW
+    + _MATHS
+    + """
+    for (int j = 0; j < 2 * MOST; ++j) { best[j] = 0.0f; line[j] = -1; }
+    for (int k = 0; k < p.lines_count; ++k) {
+        const float* g = p.lines.data + k * NL;
+        if (x < g[14] || x > g[15]) continue;
+        const float rx = x - g[0];
+        float y0, y1;
+        window(rx, g[2], g[3], g[16], g[17], g[18], g[19], y0, y1);
+        if (y0 >= y1) continue;
+        int j0, j1; clip(g[1] + y0, g[1] + y1, c0, c1, j0, j1);
+        float* top = best + (g[12] > 0.5f ? MOST : 0);
+        int* name = line + (g[12] > 0.5f ? MOST : 0);
+        const int index = (int)g[13];
+        for (int j = j0; j < j1; ++j) {
+            const float ry = (j + 0.5f) * p.h - g[1];
+            const float al = rx * g[2] + ry * g[3], pe = ry * g[2] - rx * g[3];
+            const float over = al < 0.0f ? al : (al > g[4] ? al - g[4] : 0.0f);
+            const float d = sq(pe * pe + over * over);
+            float dis = max0(d - g[9]);
+            const float nx = rx - g[4] * g[2], ny = ry - g[4] * g[3];
+            const bool covered = (al >= 0.0f && al <= g[4]) || (al > g[4] && nx * g[5] + ny * g[6] < 0.0f);
+            const float far = max0(d - g[11]);
+            dis = (g[10] != 0.0f && covered && g[10] * pe >= 0.0f && far < dis) ? far : dis;
+            const float rest = max0(g[7] - dis), e = g[8] * rest * rest;
+            name[j - c0] = e > top[j - c0] ? index : name[j - c0];
+            top[j - c0] = e > top[j - c0] ? e : top[j - c0];
+        }
+    }
+    for (int j = c0; j < c1; ++j) {
+        const long long at = (long long)row * p.columns + j;
+        const float a = best[j - c0], b = best[j - c0 + MOST];
+        p.static_sum.data[at] = a + b;
+        p.static_best.data[at] = a > b ? a : b;
+        p.static_line.data[at] = a > b ? line[j - c0] : line[j - c0 + MOST];
+    }
+"""
+)
+
+
+@wp.func_native(_FIELD)
+def field_run(p: Volume, task: int):
+    """One task of `field_kernel`."""
+
+
+@wp.func_native(_STATIC)
+def static_run(p: Volume, task: int):
+    """One task of `static_kernel`."""
+
+
+@wp.kernel
+def field_kernel(p: Volume, first: int):
+    """M and `dominant` of one run of one row of blocks of one slice, from task `first` on; needs `static_kernel`."""
+    task = wp.tid()
+    field_run(p, first + task)
+
+
+@wp.kernel
+def static_kernel(p: Volume):
+    """The static layer of one run of one row, the same for every slice."""
+    static_run(p, wp.tid())
