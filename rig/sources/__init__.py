@@ -41,15 +41,15 @@ def load_scenario(
     file, _, selection = name_or_path.partition("#")
     path = Path(file)
     if path.name.endswith((".csv", ".csv.gz")):
-        from rig.sources import tables
+        from rig.sources.tables import load as load_table
 
-        return tables.load(_existing(path), selection, ego_track, settings)
+        return load_table(_existing(path), selection, ego_track, settings)
     if path.suffix != ".xml":
         path = recorded_scenarios().get(name_or_path, path)
     if path.suffix == ".xml":
-        from rig.sources import commonroad
+        from rig.sources.commonroad import load as load_commonroad
 
-        return commonroad.load(_existing(path), settings)
+        return load_commonroad(_existing(path), settings)
     raise ScenarioError(f"no scenario {name_or_path!r}", hint=_suggestion(name_or_path))
 
 

@@ -24,7 +24,7 @@ from common.messages import F64, FRAME_S, Ego, Goal, Map, ObjectClass, Route
 from rig.settings import RigSettings
 from rig.sources import lanelets, routing
 from rig.sources.motion import heading_from_motion, on_frames
-from rig.world import SIZES, Scenario, ScenarioError, Track, ego_at
+from rig.world import SIZES, Closure, Scenario, ScenarioError, Track, ego_at
 
 CLASSES = {
     "car": ObjectClass.CAR,
@@ -217,10 +217,9 @@ def _track(o: Any, dt: float, step0: int, warnings: list[str]) -> Track:
     states = _states(o)
     t = np.array([(s.time_step - step0) * dt for s in states])
     x, y = (np.array([float(s.position[k]) for s in states]) for k in (0, 1))
-    given = [getattr(s, "orientation", None) for s in states]
-    heading = (
-        np.array([float(h) for h in given]) if None not in given else heading_from_motion(x, y, float(given[0] or 0.0))
-    )
+    given: list[Any] = [getattr(s, "orientation", None) for s in states]
+    known = None not in given
+    heading = np.array([float(h) for h in given]) if known else heading_from_motion(x, y, float(given[0] or 0.0))
     if not all(np.isfinite(v).all() for v in (x, y, heading)):
         raise ValueError("a position or heading that is not finite")
     if len(t) > 1 and not (np.diff(t) > 0).all():
@@ -270,10 +269,10 @@ def _to_the_end(track: Track, last: int) -> Track:
 
 
 def _first_velocity(state: Any, heading: float) -> tuple[float, float] | None:
-    speed = getattr(state, "velocity", None)
-    if speed is None or not np.isscalar(speed):
+    speed: Any = getattr(state, "velocity", None)
+    if not isinstance(speed, int | float | np.number):
         return None
-    lateral = getattr(state, "velocity_y", None)
+    lateral: Any = getattr(state, "velocity_y", None)
     if lateral is not None:
         return float(speed), float(lateral)
     return float(speed) * float(np.cos(heading)), float(speed) * float(np.sin(heading))
@@ -357,10 +356,10 @@ def _route(map: Map, problem: Any, ego: Ego, time_s: float, warnings: list[str])
     elif listed:
         goal = _goal_in_lane(roads, line, [i for i in path if i in goals], here)
     else:
-        ahead = TIMED_GOAL_PACE * ego.speed * time_s
-        x, y = line.at(min(here + max(ahead, 10.0), line.length))
+        way = TIMED_GOAL_PACE * ego.speed * time_s
+        x, y = line.at(min(here + max(way, 10.0), line.length))
         goal = Goal(x=float(x), y=float(y), radius=GOAL_RADIUS_M)
-        warnings.append(f"the goal is only a time ({time_s:.1f} s): a point {ahead:.0f} m ahead stands for it")
+        warnings.append(f"the goal is only a time ({time_s:.1f} s): a point {way:.0f} m ahead stands for it")
     rest = line.length - float(line.project(np.array([goal.x, goal.y]))[0])
     if rest < routing.BEYOND_M:
         warnings.append(f"the map ends {max(rest, 0.0):.0f} m beyond the goal: the route goes straight on from there")
@@ -425,9 +424,7 @@ def _goal_in_lane(roads: routing.Roads, line: Polyline, lanes: list[int], here: 
     return Goal(x=float(x), y=float(y), radius=half)
 
 
-def _plausible(
-    closures: list[lanelets.Closure], map: Map, tracks: list[Track], ego: Ego, warnings: list[str]
-) -> list[lanelets.Closure]:
+def _plausible(closures: list[Closure], map: Map, tracks: list[Track], ego: Ego, warnings: list[str]) -> list[Closure]:
     """Leave out stop lines that the ego has already passed, and those through whose red the recorded traffic drives."""
     wrong = lanelets.contradicted(closures, map, tracks)
     for i, why in wrong.items():
@@ -435,7 +432,7 @@ def _plausible(
     body = rectangle_corners(ego.x, ego.y, ego.heading, ego.length, ego.width)
     for o in map.obstacles:
         middle = o.points.mean(axis=0)
-        near = float(distance_between_rectangles(body, rectangle_corners(*middle, 0.0, 0.1, 0.1))) < 3.0
+        near = float(distance_between_rectangles(body, rectangle_corners(middle[0], middle[1], 0.0, 0.1, 0.1))) < 3.0
         ahead = np.cos(ego.heading) * (middle[0] - ego.x) + np.sin(ego.heading) * (middle[1] - ego.y)
         if near and ahead < ego.length / 2 and any(c.id == o.id for c in closures):
             wrong[o.id] = "passed"

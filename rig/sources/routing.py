@@ -93,7 +93,7 @@ class Roads:
 
 def lane_sequence(roads: Roads, starts: list[tuple[float, int]], goals: Collection[int]) -> list[int] | None:
     """Cheapest sequence of lanes (Dijkstra) from one of `starts` (cost, id) to one of `goals`; None: not connected."""
-    queue = [(cost, i, (i,)) for cost, i in starts]
+    queue: list[tuple[float, int, tuple[int, ...]]] = [(cost, i, (i,)) for cost, i in starts]
     heapq.heapify(queue)
     done: set[int] = set()
     while queue:

@@ -1,0 +1,293 @@
+"""Trajectory tables: one row an agent and frame, one recorded vehicle replaced by the ego.
+
+Columns `rec,track,type,frame,t,x,y,vx,vy,heading,length,width` at 10 Hz (csv or csv.gz); heading, length and width may
+be empty. `FILE#REC:TRACK` chooses recording and vehicle, `FILE#REC` the recording; otherwise the ego replaces the
+four-wheeled vehicle that is driven farthest among those recorded for at least 6 s. The run starts at that vehicle's
+second frame (its velocity needs two) and lasts as long as it was recorded. Its own smoothed path, extended straight, is
+the route; there is no map of such a place, and an explicitly empty one says so. The columns vx, vy are not used: they
+are central differences, with 0.1 s of the future in them.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from common.geometry import Polyline
+from common.messages import F64, FRAME_S, Goal, Map, ObjectClass, Route
+from rig.settings import RigSettings
+from rig.sources.motion import heading_from_motion, smoothed
+from rig.world import SIZES, Scenario, ScenarioError, Track, ego_at
+
+COLUMNS = ("rec", "track", "type", "frame", "t", "x", "y", "vx", "vy", "heading", "length", "width")
+NEEDED = ("rec", "track", "type", "frame", "t", "x", "y")
+CLASSES = {k.name.lower(): k for k in ObjectClass}
+FOUR_WHEELS = (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS)
+AXLES = 0.6  # wheelbase of a car as a part of its length (2.7 m of 4.5 m)
+GOAL_RADIUS_M = 4.0
+BEYOND_M = 150.0  # the route goes straight on beyond the recorded path
+JUMP_MPS = 90.0  # faster between two frames is not a motion
+LONG_ENOUGH_S, FAR_ENOUGH_M = 6.0, 20.0
+
+
+@dataclass
+class Rows:
+    """One track of a table: rows in order of frame, and the line of the first."""
+
+    rec: str
+    name: str
+    kind: str
+    line: int
+    frames: list[int]
+    values: list[tuple[float, float, float, float, float]]  # x, y, heading, length, width; NaN: not given
+
+
+def load(path: Path, selection: str, ego_track: int | None, settings: RigSettings) -> Scenario:
+    """Read a table and make the drive of one of its vehicles.
+
+    `selection` is `REC`, `REC:TRACK`, `:TRACK` or empty; `ego_track` is the name of the track, if it is a number.
+
+    Raises:
+        ScenarioError: the file, the line, why, and what to do.
+    """
+    tracks = read(path)
+    rec, _, name = selection.partition(":")
+    if ego_track is not None:
+        name = str(ego_track)
+    recordings = list(dict.fromkeys(r.rec for r in tracks))
+    if rec and rec not in recordings:
+        raise ScenarioError(f"no recording {rec!r}", path=path, hint=f"It holds: {_some(recordings)}")
+    inside = [r for r in tracks if not rec or r.rec == rec]
+    ego = _named(path, inside, name) if name else _farthest(path, inside)
+    others = [r for r in inside if r.rec == ego.rec and r is not ego]
+    return _scenario(path, ego, others, settings)
+
+
+# --- reading ---
+
+
+def read(path: Path) -> list[Rows]:
+    """All tracks of a table, in order of their first row.
+
+    Raises:
+        ScenarioError: missing columns, a value that is no number or not finite, a wrong rate, a repeated row, a gap.
+    """
+    tracks: dict[tuple[str, str], Rows] = {}
+    for line, row in _lines(path):
+        key = (row["rec"], row["track"])
+        rows = tracks.get(key)
+        if rows is None:
+            rows = tracks[key] = Rows(key[0], key[1], row["type"].strip().lower(), line, [], [])
+        _add(path, line, row, rows)
+    if not tracks:
+        raise ScenarioError("no rows", path=path)
+    return list(tracks.values())
+
+
+def _lines(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    opener = gzip.open if path.name.endswith(".gz") else open
+    try:
+        with opener(path, "rt", encoding="utf-8", newline="") as f:
+            reader = csv.reader(f)
+            names = next(reader, [])
+            missing = [c for c in NEEDED if c not in names]
+            if missing:
+                hint = f"The first line must name the columns {','.join(COLUMNS)}"
+                raise ScenarioError(f"missing columns {', '.join(missing)}", path=path, line=1, hint=hint)
+            for values in reader:
+                if not values:
+                    continue
+                if len(values) != len(names):
+                    raise ScenarioError(f"{len(values)} values, expected {len(names)}", path=path, line=reader.line_num)
+                yield reader.line_num, dict(zip(names, values, strict=True))
+    except (OSError, EOFError, UnicodeDecodeError, csv.Error) as e:
+        raise ScenarioError(f"cannot be read: {e}", path=path) from None
+
+
+def _add(path: Path, line: int, row: dict[str, str], rows: Rows) -> None:
+    frame = _number(path, line, row, "frame")
+    t = _number(path, line, row, "t")
+    if frame != round(frame):
+        raise ScenarioError(f"frame {row['frame']!r} is not a whole number", path=path, line=line)
+    if abs(t - frame * FRAME_S) > 0.02:
+        raise ScenarioError(
+            f"frame {int(frame)} at t = {t:g} s: not 10 Hz",
+            path=path,
+            line=line,
+            hint="Resample the table to 10 Hz, with t = frame / 10",
+        )
+    if rows.frames:
+        where = f"track {rows.name} of {rows.rec}"
+        if frame == rows.frames[-1] or (frame < rows.frames[-1] and int(frame) in rows.frames):
+            raise ScenarioError(f"{where}: frame {int(frame)} stands there twice", path=path, line=line)
+        if frame != rows.frames[-1] + 1:
+            raise ScenarioError(
+                f"{where}: frame {int(frame)} follows {rows.frames[-1]}",
+                path=path,
+                line=line,
+                hint="Frames of a track must follow each other at 10 Hz; give the part behind a gap another name",
+            )
+        if row["type"].strip().lower() != rows.kind:
+            raise ScenarioError(f"{where}: {row['type']!r} was {rows.kind!r} before", path=path, line=line)
+    values = tuple(_number(path, line, row, c) for c in ("x", "y"))
+    optional = tuple(_number(path, line, row, c, empty=True) for c in ("heading", "length", "width"))
+    if rows.values:
+        step = float(np.hypot(values[0] - rows.values[-1][0], values[1] - rows.values[-1][1]))
+        if step > JUMP_MPS * FRAME_S:
+            raise ScenarioError(f"track {rows.name} of {rows.rec} jumps {step:.0f} m", path=path, line=line)
+    if any(not (np.isnan(v) or 0.05 <= v <= 100.0) for v in optional[1:]):
+        raise ScenarioError(f"a size of {row['length']} × {row['width']} m", path=path, line=line)
+    rows.frames.append(int(frame))
+    rows.values.append((values[0], values[1], optional[0], optional[1], optional[2]))
+
+
+def _number(path: Path, line: int, row: dict[str, str], column: str, *, empty: bool = False) -> float:
+    text = row.get(column, "").strip()
+    if not text and empty:
+        return float("nan")
+    try:
+        value = float(text)
+    except ValueError:
+        raise ScenarioError(f"{column} {text!r} is not a number", path=path, line=line) from None
+    if not np.isfinite(value) or abs(value) > 1e8:
+        raise ScenarioError(f"{column} is {text}", path=path, line=line)
+    return value
+
+
+# --- choosing ---
+
+
+def _named(path: Path, tracks: list[Rows], name: str) -> Rows:
+    found = [r for r in tracks if r.name == name]
+    if not found:
+        raise ScenarioError(f"no track {name!r}", path=path, hint=f"There are {_some([r.name for r in tracks])}")
+    if len(found) > 1:
+        raise ScenarioError(
+            f"track {name!r} stands in {len(found)} recordings",
+            path=path,
+            hint=f"Choose one: {path.name}#{found[0].rec}:{name}",
+        )
+    if len(found[0].frames) < 2 + round(1.0 / FRAME_S):
+        raise ScenarioError(f"track {name!r} is too short to drive", path=path, line=found[0].line)
+    return found[0]
+
+
+def _farthest(path: Path, tracks: list[Rows]) -> Rows:
+    """The four-wheeled vehicle driven farthest; the first of equals."""
+    best, farthest = None, FAR_ENOUGH_M
+    for r in tracks:
+        if CLASSES.get(r.kind, ObjectClass.UNKNOWN) in FOUR_WHEELS and len(r.frames) > LONG_ENOUGH_S / FRAME_S:
+            p = np.array([v[:2] for v in r.values])[::5]
+            driven = float(np.hypot(*np.diff(p, axis=0).T).sum())
+            if driven > farthest:
+                best, farthest = r, driven
+    if best is None:
+        raise ScenarioError(
+            f"no car, truck or bus moves {FAR_ENOUGH_M:.0f} m in at least {LONG_ENOUGH_S:.0f} s",
+            path=path,
+            hint="Name one: FILE#REC:TRACK",
+        )
+    return best
+
+
+def _some(names: list[str]) -> str:
+    unique = list(dict.fromkeys(names))
+    return ", ".join(unique[:12]) + (f" … ({len(unique)} in all)" if len(unique) > 12 else "")
+
+
+# --- the world ---
+
+
+def _scenario(path: Path, ego: Rows, others: list[Rows], settings: RigSettings) -> Scenario:
+    warnings: list[str] = []
+    start = ego.frames[1]
+    human = _track(0, ego, start, warnings)
+    tracks = [_track(i + 1, r, start, warnings) for i, r in enumerate(others)]
+    last = human.last
+    tracks = [k for k in tracks if k.last >= 0 and k.first_seen <= last]
+    v = human.velocity[1]
+    size = (human.length, human.width, AXLES * human.length)
+    ego0 = ego_at(human.x[1], human.y[1], human.heading[1], float(np.hypot(*v)), size=size)
+    limit = settings.default_speed_limit or _limit(human, settings)
+    route, far = _route(human, limit)
+    warnings.append(f"no map: the recorded path of {ego.name} is the route, {limit:g} m/s the speed limit")
+    if far < 5.0:
+        warnings.append(f"{ego.name} moves only {far:.1f} m")
+    return Scenario(
+        name=f"{path.name.removesuffix('.gz').removesuffix('.csv')}-{ego.rec}-{ego.name}",
+        title=f"{path.name}: where {ego.kind} {ego.name} of {ego.rec} drove",
+        source="table",
+        duration_s=round(last * FRAME_S, 3),
+        map=Map(),
+        route=route,
+        ego0=ego0,
+        tracks=tuple(tracks),
+        warnings=tuple(warnings),
+        human=human,
+        detail={"file": path.name, "rec": ego.rec, "track": ego.name},
+    )
+
+
+def _track(id: int, rows: Rows, start: int, warnings: list[str]) -> Track:
+    x, y, heading, length, width = (np.array(c) for c in zip(*rows.values, strict=True))
+    cls = CLASSES.get(rows.kind, ObjectClass.UNKNOWN)
+    if rows.kind not in CLASSES:
+        text = f"type {rows.kind!r} is taken as unknown"
+        if text not in warnings:
+            warnings.append(text)
+    given = np.isfinite(heading)
+    if not given.all():
+        heading = np.where(given, heading, heading_from_motion(x, y))
+    return Track(
+        id=id,
+        cls=cls,
+        length=_mean(length, SIZES[cls][0]),
+        width=_mean(width, SIZES[cls][1]),
+        frame0=rows.frames[0] - start,
+        x=x,
+        y=y,
+        heading=heading,
+        label=f"{rows.kind} {rows.name}",
+    )
+
+
+def _mean(values: F64, otherwise: float) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else otherwise
+
+
+def _limit(human: Track, settings: RigSettings) -> float:
+    """Motorway or street, by how fast the recorded driver went at his fastest [m/s]."""
+    fastest = float(np.percentile(np.hypot(*human.velocity[1:].T), 95))
+    return settings.urban_speed_limit if fastest <= settings.urban_speed_limit else settings.motorway_speed_limit
+
+
+def _route(human: Track, limit: float) -> tuple[Route, float]:
+    """The recorded path where it moves on, smoothed and extended straight; and its length [m]."""
+    path = np.stack((human.x, human.y), axis=-1)
+    kept = [path[0]]
+    for p in path[1:]:
+        if np.hypot(*(p - kept[-1])) >= 0.5:
+            kept.append(p)
+    ahead = np.array([np.cos(human.heading[1]), np.sin(human.heading[1])])
+    if len(kept) < 2:
+        kept = [path[0] - ahead, path[0], path[0] + ahead]
+    line = Polyline.of(smoothed(np.array(kept)))
+    # the last metres give the direction, not the last half metre alone
+    tail = line.at(line.length) - line.at(max(0.0, line.length - 5.0))
+    tail /= np.hypot(*tail)
+    more = line.at(line.length) + np.arange(1.0, BEYOND_M)[:, None] * tail
+    goal = path[-1]
+    reference = np.ascontiguousarray(smoothed(np.vstack((line.points, more))))
+    route = Route(
+        reference=reference,
+        goal=Goal(x=float(goal[0]), y=float(goal[1]), radius=GOAL_RADIUS_M),
+        speed_limit=limit,
+        lane_width=3.5,
+    )
+    return route, line.length
