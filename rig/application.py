@@ -22,7 +22,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from common import config
-from common.bus import BusSettings, open_bus
+from common.bus import BusSettings, NoRouterError, open_bus
 from common.config import ConfigError, Tree
 from rig import configuration, health_table, report, session
 from rig.launcher import LaunchError
@@ -47,7 +47,10 @@ Sets = Annotated[
     list[str] | None,
     typer.Option("--set", help="One setting, such as planner.max_speed=15; may be repeated.", metavar="KEY=VALUE"),
 ]
-Device = Annotated[str, typer.Option("--device", help="Where the risk field is computed.", metavar="auto|cpu|cuda")]
+Device = Annotated[
+    str | None,
+    typer.Option("--device", help="Where risk is computed; default: as configured (auto).", metavar="auto|cpu|cuda"),
+]
 Json = Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")]
 Record = Annotated[Path | None, typer.Option("--record", help="Record the drive for Rerun.", metavar="OUT.rrd")]
 Logs = Annotated[Path | None, typer.Option("--logs", help="Keep the services' logs in this folder.", metavar="FOLDER")]
@@ -60,7 +63,7 @@ def run(
     duration: Annotated[float | None, typer.Option("--duration", help="Seconds; default: all of it.", min=0.1)] = None,
     record: Record = None,
     json_: Json = None,
-    device: Device = "auto",
+    device: Device = None,
     config_: Config = None,
     set_: Sets = None,
     seed: Annotated[int, typer.Option("--seed", help="Varies a built-in scenario.", min=0)] = 0,
@@ -121,7 +124,7 @@ def scenarios() -> None:
 def services(
     config_: Config = None,
     set_: Sets = None,
-    device: Device = "auto",
+    device: Device = None,
     listen: Annotated[
         str, typer.Option("--listen", help="Where the router listens; 0.0.0.0 opens it to the network.")
     ] = "tcp/127.0.0.1:7447",
@@ -170,7 +173,7 @@ def health(
         tree = configuration.load(config_, set_ or [])
         if connect:
             tree = configuration.with_keys(tree, "bus", connect=[connect])
-        with open_bus(config.section(tree, "bus", BusSettings), config.vehicle(tree), "health") as bus:
+        with open_bus(config.section(tree, "bus", BusSettings), config.vehicle(tree), "health", wait_s=3.0) as bus:
             statuses = health_table.ask(bus)
             Console().print(health_table.table(statuses, bus.alive()))
             good = health_table.healthy(statuses)
@@ -188,7 +191,7 @@ def pipeline(
     json_: Json = None,
     objects: Annotated[int, typer.Option("--objects", help="Road users in the scene.", min=0, max=1024)] = 32,
     frames: Annotated[int, typer.Option("--frames", help="Frames to measure.", min=20)] = 300,
-    device: Device = "auto",
+    device: Device = None,
     config_: Config = None,
     set_: Sets = None,
 ) -> None:
@@ -213,7 +216,7 @@ def _exits(*, asked: bool = False) -> Iterator[None]:
     except (ConfigError, ScenarioError) as e:
         _say(f"[red]error[/] {escape(str(e))}")
         raise typer.Exit(2) from None
-    except LaunchError as e:
+    except (LaunchError, NoRouterError) as e:
         _say(f"[red]failed[/] {escape(str(e))}")
         raise typer.Exit(1) from None
     except StopRequest as e:

@@ -29,6 +29,8 @@ STOP_S = 4.0
 STOP_VIZ_S = 15.0
 """The same for viz, which has a recording to finish [s]."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+BAD_CONFIGURATION = 2
+"""Exit code of a service that cannot use its configuration."""
 UP = ("waiting", "ready", "degraded")
 
 
@@ -59,9 +61,11 @@ class Crew:
         self.children = tuple(children)
 
     def check(self) -> None:
-        """Raise LaunchError if a service has ended."""
+        """Raise LaunchError if a service has ended, ConfigError if it did so because of its configuration."""
         for child in self.children:
             code = child.process.poll()
+            if code == BAD_CONFIGURATION:
+                raise ConfigError(child.tail(3))
             if code is not None:
                 how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
                 tail = child.tail() or "(its log is empty)"

@@ -101,7 +101,8 @@ def _drive(
 ) -> None:
     rig = config.section(tree, "rig", RigSettings)
     duration = scenario.duration_s if options.duration_s is None else min(options.duration_s, scenario.duration_s)
-    with open_bus(config.section(tree, "bus", BusSettings), config.vehicle(tree), "rig") as bus:
+    bus_settings = config.section(tree, "bus", BusSettings)
+    with open_bus(bus_settings, config.vehicle(tree), "rig", wait_s=rig.ready_timeout_s) as bus:
         statuses = Statuses(bus, SERVICES if crew is None else [c.name for c in crew.children])
         live = LiveRun(bus, scenario, rig, statuses)
         failures: list[str] = []
