@@ -1,0 +1,184 @@
+"""The planner: risk volume, ego, map and route in, a validated plan out, every time it is asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from common.codec import RefusedError, check
+from common.messages import Ego, Map, Plan, Risk, Route, Stamped
+from services.planner.bezier import Start
+from services.planner.cycle import Road, Scene, plan_default, plan_paper
+from services.planner.lanes import RouteLanes
+from services.planner.reference import ReferenceLine
+from services.planner.safe_stop import missing_input, safe_stop, waiting
+from services.planner.settings import PlannerSettings
+from services.planner.trajectory import Memory
+from services.planner.validator import validate
+from services.planner.volume import Volume
+
+_MOVING = 0.3  # m/s
+
+
+class Planner:
+    """Plans from the newest inputs; keeps the last plan, to start the next one from where the ego should be."""
+
+    def __init__(self, settings: PlannerSettings) -> None:
+        self._settings = settings
+        self._memory: Memory | None = None
+        self._had_all = False
+        self._road: Road | None = None
+        self._road_of: tuple[Route, Map] | None = None
+
+    def step(
+        self,
+        ego: Stamped[Ego] | None,
+        risk: Stamped[Risk] | None,
+        map: Stamped[Map] | None,
+        route: Stamped[Route] | None,
+        now_ns: int,
+    ) -> Plan:
+        """Plan once. Times of the plan count from the ego's `capture_ns`, or from `now_ns` without an ego.
+
+        Never raises: an error inside becomes a safe stop that names it.
+        """
+        try:
+            plan, memory = self._plan(ego, risk, map, route, now_ns)
+            check(plan)
+        except RefusedError as e:
+            plan, memory = self._stop(f"the plan breaks the contract of its message: {e}", ego, None, now_ns)
+        except Exception as e:  # whatever it is, the vehicle must be told to stop, and why
+            where = _where(e)
+            plan, memory = self._stop(f"the planner failed: {type(e).__name__}: {e} ({where})", ego, None, now_ns)
+        self._memory = memory
+        return plan
+
+    def _plan(
+        self,
+        ego: Stamped[Ego] | None,
+        risk: Stamped[Risk] | None,
+        road_map: Stamped[Map] | None,
+        route: Stamped[Route] | None,
+        now_ns: int,
+    ) -> tuple[Plan, Memory | None]:
+        settings = self._settings
+        missing = missing_input(ego, risk, road_map, route, now_ns, settings)
+        if ego is None or risk is None or road_map is None or route is None:
+            if ego is None or not (self._had_all or self._moving(ego)):
+                return waiting(missing, settings.name), None
+            return self._stop(missing, ego, risk, now_ns)
+        self._had_all = True
+        if missing:
+            return self._stop(missing, ego, risk, now_ns)
+        try:
+            road = self._prepared(route.value, road_map.value)
+        except ValueError as e:
+            return self._stop(f"the route cannot be driven: {e}", ego, risk, now_ns)
+
+        start, travelled = self._start(ego)
+        volume = Volume.of(risk.value, risk.capture_ns, ego.capture_ns)
+        memory = self._memory if travelled is not None else None
+        scene = Scene(ego.value, ego.capture_ns, start, road, volume, memory, travelled or 0.0)
+        turned = _heading_off(road.reference, start, memory)
+        if not (turned <= 1.2):
+            return self._stop(f"the ego stands {np.degrees(turned):.0f}° across the route", ego, risk, now_ns)
+        plan, new = (plan_paper if settings.name == "paper" else plan_default)(scene, settings)
+        problem = validate(plan, ego.value, volume, settings)
+        if problem:
+            stop, stopped = self._stop(f"the plan was not fit to publish: {problem}", ego, risk, now_ns)
+            return stop, stopped
+        return plan, new
+
+    def _prepared(self, route: Route, road: Map) -> Road:
+        """Reference line and lanes, made once for each route and map."""
+        if self._road is None or self._road_of is None or self._road_of[0] is not route or self._road_of[1] is not road:
+            reference = ReferenceLine.of(route.reference)
+            self._road = Road(
+                reference,
+                RouteLanes.of(reference, route, road),
+                route.speed_limit if route.speed_limit > 0 else np.inf,
+                route.goal,
+                reference.project(route.goal.x, route.goal.y, float(reference.heading[-1]))[0],
+            )
+            self._road_of = (route, road)
+            if self._memory is not None:  # its place and choice belong to the old line
+                self._memory = replace(self._memory, target_name="", s=-1.0)
+        return self._road
+
+    def _start(self, ego: Stamped[Ego]) -> tuple[Start, float | None]:
+        """The previous plan's state where the ego follows it, otherwise the ego's own; and how far along that plan."""
+        e, settings = ego.value, self._settings
+        own = start_of(e, settings.max_curvature)
+        if self._memory is not None:
+            planned, distance = self._memory.state(ego.capture_ns)
+            apart = np.hypot(planned.x - own.x, planned.y - own.y)
+            turned = abs((planned.heading - own.heading + np.pi) % (2 * np.pi) - np.pi)
+            if (
+                apart <= settings.follow_distance
+                and abs(planned.speed - own.speed) <= settings.follow_speed
+                and turned <= 0.15
+            ):
+                return planned, distance
+            if own.speed < 1.0:  # too slow for the yaw rate to tell the steering
+                return replace(own, curvature=planned.curvature), None
+        return own, None
+
+    def _stop(
+        self, reason: str, ego: Stamped[Ego] | None, risk: Stamped[Risk] | None, now_ns: int
+    ) -> tuple[Plan, Memory | None]:
+        """Brake from where the ego is now, or, if its state is old, from where the last plan has it by now."""
+        if ego is None:
+            return Plan(mode="safe_stop", reason=reason[:1000], planner=self._settings.name), None
+        t0 = 0.0
+        volume = None
+        if risk is not None:
+            volume = Volume.of(risk.value, risk.capture_ns, ego.capture_ns)
+        old = not (ego.age_s(now_ns) <= self._settings.max_ego_age)
+        try:
+            start, travelled = self._start(ego)
+            path, distance = (self._memory.path, travelled) if self._memory and travelled is not None else (None, 0.0)
+            if old and self._memory is not None:
+                t0 = min(max(ego.age_s(now_ns), 0.0), 9.0)
+                start, distance = self._memory.state(ego.capture_ns + round(t0 * 1e9))
+                path = self._memory.path
+            plan, memory = safe_stop(
+                reason, start, path, distance, t0, ego.value, None if old else volume, self._settings
+            )
+            check(plan)
+        except Exception as e:  # the last line of defence: hold still, and say everything
+            text = f"{reason}; and the stop itself failed: {type(e).__name__}: {e}"
+            return Plan(mode="safe_stop", reason=text[:1000], planner=self._settings.name), None
+        return plan, None if memory is None else replace(memory, capture_ns=ego.capture_ns)
+
+    @staticmethod
+    def _moving(ego: Stamped[Ego]) -> bool:
+        return not (abs(ego.value.speed) <= _MOVING)
+
+
+def start_of(ego: Ego, max_curvature: float) -> Start:
+    """State of the rear axle from the ego's; the curvature from its yaw rate where it moves."""
+    half = 0.5 * ego.wheelbase
+    speed = max(ego.speed, 0.0)
+    curvature = ego.yaw_rate / speed if speed > 1.0 else 0.0
+    return Start(
+        ego.x - half * float(np.cos(ego.heading)),
+        ego.y - half * float(np.sin(ego.heading)),
+        ego.heading,
+        float(np.clip(curvature, -max_curvature, max_curvature)),
+        speed,
+        float(np.clip(ego.acceleration, -8.0, 2.0)) if speed > 0.1 else 0.0,
+    )
+
+
+def _heading_off(reference: ReferenceLine, start: Start, memory: Memory | None) -> float:
+    near = memory.s if memory is not None and memory.s >= 0 else None
+    s, _ = reference.project(start.x, start.y, start.heading, near)
+    return abs((start.heading - float(reference.at(s).heading) + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _where(error: Exception) -> str:
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return f"{trace.tb_frame.f_code.co_name}, line {trace.tb_lineno}" if trace is not None else "unknown place"

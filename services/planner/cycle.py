@@ -1,0 +1,379 @@
+"""One planning cycle, as numbered steps: sample, look up, search, choose, roll out, stop, explain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from common.messages import Candidates, Decision, Ego, Goal, Plan, SliceRisk
+from services.planner.algorithm import (
+    choose,
+    max_risk_searching,
+    path_sampling,
+    path_slicing,
+    speed_calculating,
+    trajectory_generating,
+)
+from services.planner.bezier import Paths, Start, Target, build_paths, frenet_start
+from services.planner.decision import Obstruction, explain, explain_cap, verb
+from services.planner.footprint import Footprint, PathRisk, path_risk
+from services.planner.lanes import RouteLanes
+from services.planner.reference import ReferenceLine
+from services.planner.rollout import DT, FAILURES, Field, Rollouts, Tier, roll_out
+from services.planner.search import REFERENCE, full_brake, lane_centre_distance, path_cost, search
+from services.planner.settings import PlannerSettings
+from services.planner.speed import CAUSES, Cap, brake_before, curve_speed, stop_at
+from services.planner.stopping import stopping_tail
+from services.planner.trajectory import Memory, Motion, Path, trajectory_of
+from services.planner.volume import Volume
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Road:
+    """What stays the same while route and map do."""
+
+    reference: ReferenceLine
+    lanes: RouteLanes
+    route_limit: float  # highest wanted speed of the route; inf: none [m/s]
+    goal: Goal
+    goal_s: float  # where on the reference line the ego's centre reaches the goal [m]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything one cycle looks at."""
+
+    ego: Ego
+    capture_ns: int
+    start: Start
+    road: Road
+    volume: Volume
+    memory: Memory | None  # the plan in force, if the ego follows it
+    travelled: float  # how far the ego is along that plan's path [m]
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    """Paths with what they meet."""
+
+    frenet: tuple[float, float, float, float]
+    targets: list[Target]
+    paths: Paths
+    footprint: Footprint
+    risk: PathRisk
+    cap: Cap
+    s_max: F64  # [n]
+
+
+def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]:
+    """The form that drove: search over path, target speed and braking tier, in rollouts of the driven controller."""
+    previous = scene.memory.target_name if scene.memory is not None else ""
+    look = _sample(scene, settings)
+    start, paths = scene.start, look.paths
+    field = Field.of(look.risk, scene.volume, look.cap, look.s_max, paths.step, settings)
+    cost = path_cost(paths, scene.road.lanes, look.footprint.half_width, previous, settings)
+    verdict = search(field, start, settings, -cost)
+
+    # what the curve allows within 3 s counts as much as what risk allows
+    near = paths.stations[None] <= 3.0 * np.maximum(verdict.desired, start.speed)[:, None] + 1.0
+    curve = np.where(near & (look.cap.cause == CAUSES.index("curve")), look.cap.speed, np.inf).min(axis=1)
+    off = lane_centre_distance(paths, scene.road.lanes, verdict.rest)
+    stops = (verdict.hold <= settings.hold_s) & (off > 0.7)
+    score = np.minimum(verdict.desired, curve) - settings.tier_cost * verdict.tier - cost
+    score = np.where(verdict.passed, score - settings.stop_off_centre_cost * stops, -1e3 - cost)
+
+    if verdict.passed.any():
+        chosen = int(np.argmax(score))
+        tier = Tier.all(settings)[int(verdict.tier[chosen])]
+        wanted = _filtered(float(verdict.desired[chosen]), tier, scene, settings)
+        target, motion = wanted, None
+        for target in dict.fromkeys((wanted, float(verdict.desired[chosen]))):
+            for hold in dict.fromkeys((float(verdict.hold[chosen]), settings.hold_s)):
+                r = _one(field, start, chosen, target, hold, tier, settings)
+                if r.passed[0]:
+                    motion = Motion(r.t, r.distance[0], r.speed[0], r.acceleration[0])
+                    break
+            if motion is not None:
+                break
+        if motion is None:
+            target = min(target, float(verdict.desired[chosen]))
+            r = _one(field, start, chosen, target, float(verdict.hold[chosen]), tier, settings)
+            motion = Motion(r.t, r.distance[0], r.speed[0], r.acceleration[0])
+        failure, at, distance = verdict.failure[chosen], verdict.failed_at[chosen], verdict.failed_distance[chosen]
+    else:
+        chosen, rollouts = full_brake(field, start, settings)
+        target = 0.0
+        motion = Motion(rollouts.t, rollouts.distance[chosen], rollouts.speed[chosen], rollouts.acceleration[chosen])
+        failure, at = rollouts.failure[chosen], rollouts.failed_at[chosen]
+        distance = rollouts.distance[chosen, at]
+    decision = _decide(scene, look, chosen, target, int(failure), int(at), float(distance), field)
+    return _finish(scene, look, chosen, target, motion, decision, verdict.desired, score, settings)
+
+
+def plan_paper(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]:
+    """Algorithm 1 as printed, with a floor for the slicing speed and a rule for ties."""
+    previous = scene.memory.target_name if scene.memory is not None else ""
+    look = _sample(scene, settings)
+    start, paths, volume = scene.start, look.paths, scene.volume
+    slicing = path_slicing(paths.stations, start.speed, volume.starts)
+    horizon = paths.stations <= settings.horizon_s * max(start.speed, 3.0)
+    risk = max_risk_searching(look.risk.risk, slicing, horizon)
+    desired = speed_calculating(risk.max(axis=1), look.s_max, settings.r0, settings.r1)
+    name = np.array(paths.target)
+    chosen = choose(desired, name == REFERENCE, name == previous)
+    motion = trajectory_generating(
+        start.speed,
+        start.acceleration,
+        float(desired[chosen]),
+        look.cap.speed[chosen],
+        paths.step,
+        accel=settings.accel,
+        brake=settings.tier_brake[1],
+        jerk=settings.jerk,
+        tau=settings.tau,
+        duration=settings.horizon_s,
+    )
+    j = int(np.argmax(risk[chosen]))
+    if risk[chosen, j] > settings.r0:
+        mine = np.flatnonzero((slicing == j) & horizon)
+        at = paths.step * int(mine[np.argmax(look.risk.risk[chosen, j, mine])])
+        obstruction = Obstruction(Path.of(paths, chosen), at, (j,))
+        decision = explain(float(desired[chosen]), start.speed, obstruction, volume, look.footprint, "law")
+    else:
+        decision = _decide_cap(look, chosen, float(desired[chosen]), start.speed)
+    return _finish(scene, look, chosen, float(desired[chosen]), motion, decision, desired, desired, settings)
+
+
+def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
+    """Paths, the risk on them and what caps their speed."""
+    start, road = scene.start, scene.road
+    frenet = frenet_start(road.reference, start, None if scene.memory is None or scene.memory.s < 0 else scene.memory.s)
+    s0 = frenet[0]
+    here = float(road.lanes.limit[road.lanes.index(s0)])
+    s_max = min(here, road.route_limit, settings.max_speed)
+    reach = min(max(s_max, 1.0), start.speed + 5.0)
+    horizon = max(settings.horizon_s * reach, 1.5 * start.speed + start.speed**2 / 3.0 + 12.0, 30.0)
+    step = float(np.clip(horizon / (settings.stations - 1), settings.step_min, settings.step_max))
+    horizon = step * (settings.stations - 1)
+    s: F64 = np.asarray(s0 + 0.5 * step * np.arange(3 * settings.stations), dtype=np.float64)
+    targets, lengths = _targets(scene, s, frenet, settings)
+    paths = path_sampling(
+        road.reference,
+        s,
+        frenet,
+        targets,
+        lengths,
+        step=step,
+        points=settings.stations,
+        max_curvature=settings.max_curvature,
+    )
+    footprint = Footprint.of(scene.ego, settings.footprint_spacing)
+    risk = path_risk(scene.volume, footprint, paths.x, paths.y, paths.heading, step)
+    cap = _cap(scene, paths, risk.known, footprint, settings)
+    return _Sampled(frenet, targets, paths, footprint, risk, cap, np.full(len(targets), s_max))
+
+
+def _targets(
+    scene: Scene, s: F64, frenet: tuple[float, float, float, float], settings: PlannerSettings
+) -> tuple[list[Target], F64]:
+    """Offsets and neighbouring lanes, each with every length; and the move under way with what is left of it."""
+    zero = np.zeros_like(s)
+    kinds = [
+        Target(REFERENCE if o == 0.0 else f"{o:+.1f} m", np.full_like(s, o), zero, zero)
+        for o in dict.fromkeys((0.0, *settings.offsets))
+    ]
+    lanes, speed = scene.road.lanes, scene.start.speed
+    stations = np.arange(len(lanes.limit), dtype=np.float64)
+    longest = max(settings.lengths[-1][0], settings.lengths[-1][1] * speed)
+    for name, side in (("left lane", lanes.left), ("right lane", lanes.right)):
+        if side.exists[lanes.index(np.linspace(s[0], s[0] + longest, 5)[1:])].all():
+            centre = np.interp(s, stations, side.centre)
+            slope = np.interp(s, stations, side.slope) * ((s > 0) & (s < stations[-1]))
+            kinds.append(Target(name, centre, slope, np.gradient(slope, s)))
+    targets, lengths = [], []
+    for kind in kinds:
+        for least, seconds in settings.lengths:
+            targets.append(kind)
+            lengths.append(max(least, seconds * speed))
+    memory = scene.memory
+    if memory is not None:
+        left = max(memory.remaining - scene.travelled, 6.0, 1.5 * speed)
+        for kind in kinds:
+            if kind.name == memory.target_name and left < min(lengths):
+                targets.append(kind)
+                lengths.append(left)
+    return targets, np.array(lengths)
+
+
+def _cap(scene: Scene, paths: Paths, known: F64, footprint: Footprint, settings: PlannerSettings) -> Cap:
+    road, half = scene.road, 0.5 * scene.ego.wheelbase
+    limit = np.minimum(road.lanes.limit[road.lanes.index(paths.s)], min(road.route_limit, settings.max_speed))
+    curve = curve_speed(paths.curvature, paths.step, settings.lateral_accel, settings.max_curvature_rate)
+    limit = brake_before(limit, paths.step, settings.curve_brake)
+    curve = brake_before(np.minimum(curve, 1e3), paths.step, settings.curve_brake)
+    stations, last = paths.stations, paths.step * (paths.x.shape[1] - 1)
+
+    def way_to(s: float) -> F64:
+        """Distance along each path to where it passes s of the reference line; far if it does not."""
+        beyond = paths.s >= s
+        i = np.argmax(beyond, axis=1)
+        rows = np.arange(len(i))
+        before = np.maximum(i - 1, 0)
+        a, b = paths.s[rows, before], paths.s[rows, i]
+        w = np.clip((s - a) / np.maximum(b - a, 1e-9), 0.0, 1.0)
+        return np.where(beyond.any(axis=1), paths.step * (before + w * (i > 0)), 1e6)
+
+    goal = np.full_like(limit, np.inf)
+    if road.goal.stop:
+        goal = stop_at(way_to(road.goal_s - half), stations, settings.curve_brake)
+    # the end of what is known: of the line, of the grid, of what can be steered
+    end = np.minimum(way_to(road.reference.length - half), np.where(paths.end < last, paths.end, 1e6))
+    end = np.minimum(end, np.where(known < last, known, 1e6))
+    horizon = stop_at(end, stations, settings.horizon_brake)
+    return Cap.of([limit, curve, goal, horizon])
+
+
+def _filtered(desired: float, tier: Tier, scene: Scene, settings: PlannerSettings) -> float:
+    """The target speed that is driven: small changes come in gradually, very low ones are rest."""
+    before = scene.memory.target_speed if scene.memory is not None else scene.start.speed
+    target = desired
+    if tier.index == 0 and abs(desired - before) < settings.target_band:
+        target = before + settings.target_filter * (desired - before)
+    standing = scene.start.speed < 0.1
+    if desired < settings.stop_below or (
+        standing and before < settings.stop_below and desired < settings.restart_above
+    ):
+        return 0.0
+    return target
+
+
+def _one(
+    field: Field, start: Start, path: int, target: float, hold: float, tier: Tier, settings: PlannerSettings
+) -> Rollouts:
+    return roll_out(field, start, np.array([path]), np.array([target]), np.array([hold]), tier, settings)
+
+
+def _decide(
+    scene: Scene, look: _Sampled, chosen: int, target: float, failure: int, at: int, distance: float, field: Field
+) -> Decision:
+    speed, paths, volume = scene.start.speed, look.paths, scene.volume
+    slow = target < float(look.s_max[chosen]) - 0.3
+    if failure == 0 or not slow:
+        return _decide_cap(look, chosen, target, speed)
+    kind = FAILURES[failure]
+    j = int(volume.slice_at(at * DT))
+    i = min(int(distance / paths.step), field.points - 1)
+    if kind == "law":
+        near = look.risk.risk[chosen, j : j + 2, i : i + 2]
+        place = float(paths.step * (i + int(np.argmax(near.max(axis=0)))))
+    elif kind == "stays":
+        place = float(field.stays[chosen * field.points + i]) + field.gap + 0.3
+        j = 0
+    else:
+        place = float(field.hit[(chosen * field.slices + j) * field.points + i]) + 0.3
+    obstruction = Obstruction(Path.of(paths, chosen), min(place, paths.step * (field.points - 1)), (j, j + 1))
+    return explain(target, speed, obstruction, volume, look.footprint, kind)
+
+
+def _decide_cap(look: _Sampled, chosen: int, target: float, speed: float) -> Decision:
+    """Nothing of the risk limits it: which cap does, within the next seconds."""
+    near = look.paths.stations <= 3.0 * max(speed, 2.0)
+    cap = np.where(near, look.cap.speed[chosen], np.inf)
+    i = int(np.argmin(cap))
+    cause = CAUSES[int(look.cap.cause[chosen, i])]
+    reached = min(target, float(cap[i]))
+    if cause == "limit" and cap[i] >= target - 0.3:
+        return Decision(sentence=f"{verb(reached, speed)}: the road is free", term="limit")
+    return explain_cap(reached, speed, cause, float(look.paths.stations[i]))
+
+
+def _finish(
+    scene: Scene,
+    look: _Sampled,
+    chosen: int,
+    target: float,
+    motion: Motion,
+    decision: Decision,
+    desired: F64,
+    score: F64,
+    settings: PlannerSettings,
+) -> tuple[Plan, Memory]:
+    """The chosen path again with fine points, the profile, the tail and everything that is told about them."""
+    ego, paths = scene.ego, look.paths
+    wheelbase = ego.wheelbase
+    fine = 4
+    step = paths.step / fine
+    s: F64 = np.asarray(look.frenet[0] + 0.5 * step * np.arange(3 * settings.stations * fine), dtype=np.float64)
+    targets, lengths = _targets(scene, s, look.frenet, settings)
+    path = Path.of(
+        build_paths(
+            scene.road.reference,
+            s,
+            look.frenet,
+            [targets[chosen]],
+            lengths[chosen : chosen + 1],
+            step=step,
+            points=settings.stations * fine,
+            max_curvature=settings.max_curvature,
+        ),
+        0,
+    )
+    profile = motion.until(settings.profile_s)
+    tail = stopping_tail(path, profile, scene.volume, look.footprint, settings)
+    half = 0.5 * wheelbase
+    few = np.unique(np.linspace(0, settings.stations - 1, settings.candidate_points).astype(np.intp))
+    cx, cy = paths.x[:, few], paths.y[:, few]
+    ch = paths.heading[:, few]
+    plan = Plan(
+        mode="drive",
+        reason=decision.sentence,
+        planner=settings.name,
+        valid_for=settings.valid_for,
+        profile=trajectory_of(path, profile, wheelbase),
+        tail=trajectory_of(path, tail, wheelbase),
+        desired_speed=float(target),
+        chosen=chosen,
+        candidates=Candidates(
+            x=cx + half * np.cos(ch),
+            y=cy + half * np.sin(ch),
+            desired_speed=np.ascontiguousarray(desired, dtype=np.float64),
+            score=np.ascontiguousarray(score, dtype=np.float64),
+        ),
+        slice_risk=_slice_risk(scene, look, chosen, motion),
+        decision=decision,
+    )
+    memory = Memory(
+        scene.capture_ns,
+        path,
+        profile,
+        tail,
+        settings.valid_for,
+        paths.target[chosen],
+        float(target),
+        float(paths.length[chosen]),
+        look.frenet[0],
+    )
+    return plan, memory
+
+
+def _slice_risk(scene: Scene, look: _Sampled, chosen: int, motion: Motion) -> SliceRisk:
+    """Highest risk that the motion meets in each slice it reaches, and where the ego's centre then is."""
+    paths, volume = look.paths, scene.volume
+    station = np.clip(np.rint(motion.distance / paths.step).astype(np.intp), 0, paths.x.shape[1] - 1)
+    slices = volume.slice_at(motion.t)
+    risk = look.risk.risk[chosen, slices, station]
+    t, value, x, y = [], [], [], []
+    half = 0.5 * scene.ego.wheelbase
+    for j in np.unique(slices):
+        mine = np.flatnonzero(slices == j)
+        k = int(mine[np.argmax(risk[mine])])
+        i = int(station[k])
+        t.append(float(volume.starts[j]))
+        value.append(float(risk[k]))
+        x.append(float(paths.x[chosen, i] + half * np.cos(paths.heading[chosen, i])))
+        y.append(float(paths.y[chosen, i] + half * np.sin(paths.heading[chosen, i])))
+    return SliceRisk(t=np.array(t), risk=np.array(value), x=np.array(x), y=np.array(y))

@@ -1,0 +1,93 @@
+"""Why this speed: the slice, the cell, the source and the term that decided, in a sentence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.messages import Decision, ObjectClass, Slot
+from services.planner.footprint import Footprint
+from services.planner.trajectory import Path
+from services.planner.volume import Volume
+
+
+@dataclass(frozen=True)
+class Obstruction:
+    """Where a path meets the risk that limits its speed."""
+
+    path: Path
+    distance: float  # of the rear axle along it [m]
+    slices: tuple[int, ...]  # that were read, counted from the one now in force
+
+
+def explain(
+    desired: float, speed: float, obstruction: Obstruction, volume: Volume, footprint: Footprint, kind: str
+) -> Decision:
+    """Name what limits the speed to `desired`: the highest risk on the outline at the obstruction."""
+    x, y, heading, _ = obstruction.path.at(np.array([obstruction.distance]))
+    fx, fy = footprint.at(x, y, heading)
+    values, _known = volume.sample(fx, fy)  # [S, 1, k]
+    slices = sorted({min(max(j, 0), volume.slices - 1) for j in obstruction.slices})
+    j = max(slices, key=lambda s: float(values[s].max()))
+    k = int(np.argmax(values[j, 0]))
+    px, py = float(fx[0, k]), float(fy[0, k])
+    cell = volume.cell(px, py)
+    index = volume.first + j
+    slot = volume.source(index, *cell)
+    cx, cy = volume.cell_centre(*cell)
+    side = float(-np.sin(heading[0]) * (cx - x[0]) + np.cos(heading[0]) * (cy - y[0]))
+    where = f"{abs(side):.1f} m {'left' if side > 0 else 'right'} of the path" if abs(side) > 0.3 else "on the path"
+    term = slot.term if slot is not None else "potential"
+    start = float(volume.starts[j])
+    sentence = (
+        f"{verb(desired, speed)}: {_name(slot)}, {term} term, slice {max(start, 0.0):.1f} s, {where},"
+        f" {obstruction.distance:.0f} m ahead{_why(kind)}"
+    )
+    return Decision(
+        sentence=sentence,
+        slice=index,
+        slice_s=start,
+        cell=cell,
+        x=cx,
+        y=cy,
+        source_id=slot.id if slot is not None else None,
+        source_cls=slot.cls if slot is not None else None,
+        term=term,
+        risk=float(values[j, 0, k]),
+    )
+
+
+def explain_cap(desired: float, speed: float, cause: str, distance: float) -> Decision:
+    """Name the curve, limit, goal or horizon that sets the speed."""
+    text = {
+        "limit": "the speed limit",
+        "curve": "a curve",
+        "goal": "the goal",
+        "horizon": "the end of what is known or of the route",
+    }[cause]
+    ahead = f", {distance:.0f} m ahead" if distance > 1.0 else ""
+    return Decision(sentence=f"{verb(desired, speed)}: {text}{ahead}", term=cause)
+
+
+def verb(desired: float, speed: float) -> str:
+    """What is done about the speed."""
+    if desired < 0.05:
+        return "standing still" if speed < 0.05 else "stopping"
+    if desired < speed - 0.3:
+        return f"slowed to {desired:.1f} m/s"
+    return f"driving at {desired:.1f} m/s"
+
+
+def _name(slot: Slot | None) -> str:
+    if slot is None:
+        return "an unnamed source"
+    kind = ObjectClass(slot.cls).name.lower() if 0 <= slot.cls <= max(ObjectClass) else slot.label or "static line"
+    return f"{kind.replace('_', ' ')} {slot.id}"
+
+
+def _why(kind: str) -> str:
+    return {
+        "stop": ", to be able to stop behind it",
+        "stays": ", it may stay where it is",
+    }.get(kind, "")

@@ -1,0 +1,200 @@
+"""The route's reference line, made smooth: position, heading and curvature by arc length, and Frenet coordinates.
+
+Recorded tracks and lanelet centre lines are noisy polylines with kinks, and a kink of 0.05 rad reads as a tight
+curve. The line is resampled and smoothed by a Gaussian whose shrinkage is compensated (2 G − G²), wide where that
+moves it by less than a hand's breadth, narrow in tight turns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from common.geometry import Polyline, wrap_angle
+
+F64 = npt.NDArray[np.float64]
+
+SPACING = 0.25
+"""Distance between the stored points [m]."""
+_DECIMATE = 0.5  # m; nearer points are jitter of a standing recorder
+_SIGMAS = (1.5, 3.0, 7.0)  # m
+_TIGHT = 0.17  # 1/m; sharper than this, the middle width is used whatever it moves
+_MOVED = (0.15, 0.30)  # m; full trust in a wider smoothing up to the first, none beyond the second
+
+
+@dataclass(frozen=True)
+class Frenet:
+    """Points of the reference line at given arc lengths; all arrays of one shape."""
+
+    x: F64  # [m]
+    y: F64  # [m]
+    heading: F64  # unwrapped [rad]
+    curvature: F64  # [1/m]
+    curvature_rate: F64  # dκ/ds [1/m²]
+
+
+@dataclass(frozen=True)
+class ReferenceLine:
+    """A smooth line sampled every `spacing`, straight beyond its ends."""
+
+    spacing: float
+    x: F64
+    y: F64
+    heading: F64
+    curvature: F64
+    curvature_rate: F64
+
+    @staticmethod
+    def of(points: npt.ArrayLike) -> ReferenceLine:
+        """Smooth a polyline [n, 2].
+
+        Raises:
+            ValueError: shorter than half a metre, or a non-finite point.
+        """
+        line = _decimated(Polyline.of(points))
+        n = max(int(np.ceil(line.length / SPACING)), 2) + 1
+        spacing = line.length / (n - 1)
+        raw = line.at(np.linspace(0.0, line.length, n))
+        fine, middle, wide = (_smoothed(raw, sigma / spacing) for sigma in _SIGMAS)
+        tight = np.abs(_derivatives(fine, spacing)[1]) > _TIGHT
+        p = _blend(fine, middle, np.maximum(_trust(raw, middle, spacing), _spread(tight, spacing)), spacing)
+        p = _blend(p, wide, _trust(raw, wide, spacing), spacing)
+        # the blend bends the line a little where its weights change: a last narrow pass
+        p = _smoothed(p, 1.0 / spacing)
+        heading, curvature = _derivatives(p, spacing)
+        return ReferenceLine(spacing, p[:, 0], p[:, 1], heading, curvature, np.gradient(curvature, spacing))
+
+    @property
+    def length(self) -> float:
+        """Length [m]."""
+        return self.spacing * (len(self.x) - 1)
+
+    def at(self, s: npt.ArrayLike) -> Frenet:
+        """The line at arc lengths `s`, any shape; straight beyond the ends."""
+        s = np.asarray(s, dtype=np.float64)
+        inside = np.clip(s, 0.0, self.length)
+        over = s - inside
+        f = inside / self.spacing
+        i = np.minimum(f.astype(np.intp), len(self.x) - 2)
+        w = f - i
+
+        def value(a: F64) -> F64:
+            return np.asarray(a[i] + w * (a[i + 1] - a[i]))
+
+        heading = value(self.heading)
+        beyond = over != 0.0
+        return Frenet(
+            value(self.x) + over * np.cos(heading),
+            value(self.y) + over * np.sin(heading),
+            heading,
+            np.where(beyond, 0.0, value(self.curvature)),
+            np.where(beyond, 0.0, value(self.curvature_rate)),
+        )
+
+    def project(self, x: float, y: float, heading: float, near: float | None = None) -> tuple[float, float]:
+        """Frenet coordinates (s, d) of a pose; `near` is where it was last, so that it does not jump between legs.
+
+        s < 0 before the line and s > length behind it; d > 0 to its left [m].
+        """
+        cost = (self.x - x) ** 2 + (self.y - y) ** 2
+        if near is not None:
+            s = self.spacing * np.arange(len(self.x))
+            window = (s > near - 10.0) & (s < near + 30.0)
+            if np.any(window) and float(cost[window].min()) < 25.0:
+                cost = np.where(window, cost, np.inf)
+        else:  # of two legs of the line the one that runs the ego's way, unless it is 6 m further
+            cost = np.sqrt(cost) + 3.0 * (1.0 - np.cos(self.heading - heading))
+        s0 = self.spacing * float(np.argmin(cost))
+        d = 0.0
+        for _ in range(6):
+            p = self.at(s0)
+            dx, dy = x - float(p.x), y - float(p.y)
+            c, sn = float(np.cos(p.heading)), float(np.sin(p.heading))
+            d = -sn * dx + c * dy
+            move = (c * dx + sn * dy) / max(1.0 - float(p.curvature) * d, 0.2)
+            s0 += float(np.clip(move, -2.0, 2.0)) if 0.0 <= s0 <= self.length else c * dx + sn * dy
+            if abs(move) < 1e-6:
+                break
+        return s0, d
+
+    def project_line(self, points: F64) -> tuple[F64, F64]:
+        """Frenet coordinates (s, d) of many points [n, 2] that run along the line, each [n]."""
+        stride = max(round(1.0 / self.spacing), 1)
+        x, y, h = self.x[::stride], self.y[::stride], self.heading[::stride]
+        out_s, out_d = np.empty(len(points)), np.empty(len(points))
+        for a in range(0, len(points), 256):
+            part = points[a : a + 256]
+            i = np.argmin((part[:, None, 0] - x) ** 2 + (part[:, None, 1] - y) ** 2, axis=1)
+            dx, dy = part[:, 0] - x[i], part[:, 1] - y[i]
+            out_s[a : a + 256] = self.spacing * stride * i + np.cos(h[i]) * dx + np.sin(h[i]) * dy
+            out_d[a : a + 256] = -np.sin(h[i]) * dx + np.cos(h[i]) * dy
+        return out_s, out_d
+
+
+def heading_error(line: ReferenceLine, s: float, heading: float) -> float:
+    """Heading relative to the line's at s, in [−π, π) [rad]."""
+    return float(wrap_angle(heading - float(line.at(s).heading)))
+
+
+def _decimated(line: Polyline) -> Polyline:
+    keep = [0]
+    for i in range(1, len(line.points)):
+        if np.hypot(*(line.points[i] - line.points[keep[-1]])) >= _DECIMATE:
+            keep.append(i)
+    if len(keep) < 2:
+        raise ValueError(f"the reference line is shorter than {_DECIMATE} m")
+    points = line.points[keep]
+    if keep[-1] != len(line.points) - 1 and len(keep) > 2:
+        points = np.vstack((points[:-1], line.points[-1:]))  # the end stays the end
+    return Polyline.of(points)
+
+
+def _smoothed(p: F64, sigma: float) -> F64:
+    """2 G − G² of points [n, 2]; point-symmetric beyond the ends, which therefore stay. `sigma` in samples."""
+    half = int(np.ceil(3.5 * sigma))
+    k = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
+    k /= k.sum()
+    kernel = -np.convolve(k, k)
+    middle = len(kernel) // 2
+    kernel[middle - half : middle + half + 1] += 2.0 * k
+    pad = middle
+    head, tail = _extension(p[::-1], pad)[::-1], _extension(p, pad)
+    padded = np.vstack((head, p, tail))
+    return np.stack([np.convolve(padded[:, c], kernel, mode="valid") for c in range(2)], axis=1)
+
+
+def _extension(p: F64, n: int) -> F64:
+    """Go on n points straight from the end of p, in the mean direction of its last metres."""
+    back = min(len(p) - 1, 12)
+    step = (p[-1] - p[-1 - back]) / back
+    return np.asarray(p[-1] + step * np.arange(1, n + 1)[:, None])
+
+
+def _derivatives(p: F64, spacing: float) -> tuple[F64, F64]:
+    dx, dy = np.gradient(p[:, 0], spacing), np.gradient(p[:, 1], spacing)
+    heading = np.unwrap(np.arctan2(dy, dx))
+    speed = np.maximum(np.hypot(dx, dy), 0.2)
+    return heading, np.gradient(heading, spacing) / speed
+
+
+def _trust(raw: F64, smooth: F64, spacing: float) -> F64:
+    moved = np.hypot(*(smooth - raw).T)
+    reach = max(int(4.0 / spacing), 1)
+    padded = np.pad(moved, reach, mode="edge")
+    worst = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
+    return np.asarray(np.clip((_MOVED[1] - worst) / (_MOVED[1] - _MOVED[0]), 0.0, 1.0))
+
+
+def _spread(mask: npt.NDArray[np.bool_], spacing: float) -> F64:
+    reach = max(int(4.0 / spacing), 1)
+    padded = np.pad(mask.astype(np.float64), reach)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1))
+
+
+def _blend(a: F64, b: F64, weight: F64, spacing: float) -> F64:
+    reach = max(int(4.0 / spacing), 1)
+    k = np.hanning(2 * reach + 3)[1:-1]
+    w = np.convolve(np.pad(weight, reach, mode="edge"), k / k.sum(), mode="valid")[:, None]
+    return np.asarray(a + w * (b - a))

@@ -1,0 +1,192 @@
+"""The controller that is driven, rolled out for many paths and targets at once, and checked against the risk.
+
+a_wanted = (v_wanted − v) / τ with v_wanted = min(target, cap a little ahead), limited by the tier's brake and jerk;
+after the hold, a check rollout brakes to rest. What is published is the very rollout that was checked.
+
+Checks, each with the name under which a failure is reported:
+- `contact`: short of s_hit (by 0.8 m while moving), and once stopped the place stays free;
+- `law`: up to the hold the target is within the speed law of the risk met; later v ≤ max(law, what braking leaves);
+- `stop`: after 2 s the stop speed holds, unless the ego falls back from what is ahead;
+- `stays`: the same against what may stay put.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from services.planner.bezier import Start
+from services.planner.footprint import PathRisk
+from services.planner.settings import PlannerSettings
+from services.planner.speed import FAR, Cap, contact_distance, contact_speed, speed_law
+from services.planner.volume import Volume
+
+F64 = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.intp]
+Bools = npt.NDArray[np.bool_]
+
+DT = 0.1
+"""Step of a rollout [s]."""
+FAILURES = ("", "contact", "law", "stop", "stays")
+_CLEAR = 0.8  # m; short of a contact while moving
+_SOFT_AFTER = 2.0  # s
+
+
+@dataclass(frozen=True)
+class Tier:
+    """How hard may be braked."""
+
+    index: int
+    brake: float  # [m/s²]
+    jerk: float  # [m/s³]
+    soft: bool  # whether the soft checks count
+
+    @staticmethod
+    def all(settings: PlannerSettings) -> tuple[Tier, Tier, Tier]:
+        """Comfort, firm, emergency."""
+        a, b, c = (Tier(i, settings.tier_brake[i], settings.tier_jerk[i], i < 2) for i in range(3))
+        return a, b, c
+
+
+@dataclass(frozen=True)
+class Field:
+    """What a rollout looks up, at stations every `step` along n paths, flattened [n · S · p] or [n · p]."""
+
+    step: float
+    points: int
+    slices: int
+    starts: F64  # of the slices [S] [s]
+    hit: F64  # s_hit [n · S · p] [m]
+    room: F64  # s_hit − gap + u²/(2 b_stop) [n · S · p] [m]
+    away: F64  # u [n · S · p] [m/s]
+    stays: F64  # s_hit − gap of what may stay put [n · p] [m]
+    law: F64  # speed law [n · S · p] [m/s]
+    cap_squared: F64  # [n · p]
+    s_max: F64  # highest wanted speed at the start of each path [n] [m/s]
+    gap: float  # [m]
+
+    @staticmethod
+    def of(risk: PathRisk, volume: Volume, cap: Cap, s_max: F64, step: float, settings: PlannerSettings) -> Field:
+        """Slice j reads max(M_j, M_j+1): the ego may be early or late in it."""
+        r = risk.risk
+        if r.shape[1] > 1:
+            r = r.copy()
+            np.maximum(r[:, :-1], risk.risk[:, 1:], out=r[:, :-1])
+        hit = contact_distance(r, settings.r_hit, step)
+        own = contact_distance(risk.risk, settings.r_hit, step)
+        away = contact_speed(own, volume.starts)
+        stays = contact_distance(risk.stays, settings.r_hit, step)
+        worst = r.copy()
+        np.maximum(worst[..., :-1], r[..., 1:], out=worst[..., :-1])
+        law = speed_law(worst, s_max[:, None, None], settings.r0, settings.r1)
+        room = np.where(hit < FAR, hit - settings.gap + away**2 / (2.0 * settings.stop_brake), FAR)
+        return Field(
+            step,
+            r.shape[2],
+            r.shape[1],
+            volume.starts,
+            hit.ravel(),
+            room.ravel(),
+            away.ravel(),
+            np.where(stays < FAR, stays - settings.gap, FAR).ravel(),
+            law.ravel(),
+            (cap.speed**2).ravel(),
+            s_max,
+            settings.gap,
+        )
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """K rollouts of T steps: distance, speed and acceleration at t = 0, DT, …; and the first failed check."""
+
+    t: F64  # [T]
+    distance: F64  # [K, T] [m]
+    speed: F64  # [K, T] [m/s]
+    acceleration: F64  # [K, T] [m/s²]
+    failure: Ints  # [K] index into FAILURES; 0: passed
+    failed_at: Ints  # [K] step of the first failure
+
+    @property
+    def passed(self) -> Bools:
+        """Which of them break no check [K]."""
+        return np.asarray(self.failure == 0)
+
+
+def roll_out(
+    field: Field, start: Start, path: Ints, target: F64, hold: F64, tier: Tier, settings: PlannerSettings
+) -> Rollouts:
+    """Drive K paths at K target speeds, each braking to rest after its hold.
+
+    Args:
+        field: What the paths meet.
+        start: State from which.
+        path: Index of the path [K].
+        target: Target speed [K] [m/s].
+        hold: When the braking starts [K] [s]; beyond the horizon: never.
+        tier: How hard may be braked.
+        settings: The controller's.
+    """
+    n = round(settings.horizon_s / DT)
+    times: F64 = np.asarray(DT * np.arange(n + 1), dtype=np.float64)
+    slices = np.clip(np.searchsorted(field.starts, times + 1e-9, side="right") - 1, 0, field.slices - 1)
+    k, p = len(path), field.points
+    base_path, base = path * p, path * (field.slices * p)
+    s, v, a = np.zeros(k), np.full(k, start.speed), np.full(k, start.acceleration)
+    out_s, out_v, out_a = np.empty((n + 1, k)), np.empty((n + 1, k)), np.empty((n + 1, k))
+    failure, failed_at = np.zeros(k, dtype=np.intp), np.full(k, n, dtype=np.intp)
+    look = settings.tau + 0.5 * settings.curve_brake / settings.jerk
+    tau = settings.tau * (1.0, 0.6, 0.3)[tier.index]
+    for i in range(n + 1):
+        t = times[i]
+        out_s[i], out_v[i], out_a[i] = s, v, a
+        f = s / field.step
+        cell = np.minimum(f.astype(np.intp), p - 1)
+        here = base + slices[i] * p + cell
+        moving = v > 0.05
+        hit = field.hit[here]
+        bad = np.where(s + np.where(moving, _CLEAR, 0.0) < hit, 0, 1)
+        if tier.soft:
+            law = field.law[here]
+            holding = t <= np.minimum(hold, settings.hold_s)
+            left = np.maximum(target - tier.brake * max(t - settings.hold_s, 0.0), 0.0)
+            above = np.where(holding, target > law + 1e-9, v > np.maximum(law, left) + 0.05)
+            bad = np.where((bad == 0) & above, 2, bad)
+            if t >= _SOFT_AFTER:
+                need = v * settings.headway + v * v / (2.0 * settings.stop_brake)
+                fast = (need > field.room[here] - s) & (v > 0.85 * field.away[here] + 0.05)
+                bad = np.where((bad == 0) & fast & moving, 3, bad)
+                put = need > field.stays[base_path + cell] - s
+                bad = np.where((bad == 0) & put & moving, 4, bad)
+        new = (failure == 0) & (bad > 0)
+        failure[new], failed_at[new] = bad[new], i
+        if i == n:
+            break
+        ahead = np.minimum((s + v * look) / field.step, p - 1.001)
+        c = ahead.astype(np.intp)
+        w = ahead - c
+        c += base_path
+        far = np.sqrt(field.cap_squared[c] * (1.0 - w) + field.cap_squared[c + 1] * w)
+        near = np.sqrt(field.cap_squared[base_path + cell])
+        stopping = t >= hold - 1e-9
+        wanted = np.where(stopping, 0.0, np.minimum(np.minimum(target, far), near))
+        a_wanted = (wanted - v) / tau
+        a_wanted = np.where(stopping, -tier.brake, a_wanted)
+        # let the brake go in time to stand softly
+        gentle = np.where(stopping & (tier.index > 0), np.inf, np.sqrt(2.0 * settings.jerk * v) + 0.15)
+        a_wanted = np.where((wanted <= 0.0) | (tier.index == 0), np.maximum(a_wanted, -gentle), a_wanted)
+        a_wanted = np.where((wanted <= 0.0) & (v > 0.0), np.minimum(a_wanted, -0.15), a_wanted)
+        a_wanted = np.clip(a_wanted, -tier.brake, settings.accel)
+        up = np.where(a < -1.05 * settings.tier_brake[0], settings.release_jerk, settings.jerk)
+        up = np.where(a < 0.0, np.maximum(up, tier.jerk), up)
+        a_new = a + np.clip(a_wanted - a, -tier.jerk * DT, up * DT)
+        mean = 0.5 * (a + a_new)
+        v_new = v + mean * DT
+        stops = v_new <= 1e-3
+        rest = np.where(v > 0.0, v * v / np.maximum(-2.0 * mean, 1e-6), 0.0)  # way of a stop within this step
+        s = s + np.where(stops, np.minimum(rest, v * DT), 0.5 * (v + v_new) * DT)
+        v = np.where(stops, 0.0, v_new)
+        a = np.where(stops, np.where(wanted <= 0.0, 0.0, np.maximum(a_new, 0.0)), a_new)
+    return Rollouts(times, out_s.T, out_v.T, out_a.T, failure, failed_at)

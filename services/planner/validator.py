@@ -1,0 +1,141 @@
+"""The last look at a plan: what breaks one of these rules is never published.
+
+Every check reads `not (x <= limit)`, so that NaN fails. The risk rule: while the vehicle moves, the footprint's risk
+stays below contact, or, if it is higher at the start (somebody drove into us), it must not get worse; a motion that
+does nothing but brake hard is always allowed, for there is nothing better.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from common.geometry import wrap_angle
+from common.messages import Ego, Plan, Trajectory
+from services.planner.footprint import Footprint
+from services.planner.settings import PlannerSettings
+from services.planner.volume import Volume
+
+F64 = npt.NDArray[np.float64]
+
+
+def validate(plan: Plan, ego: Ego, volume: Volume | None, settings: PlannerSettings) -> str:
+    """Why a plan may not be published, in a sentence; empty: it may."""
+    profile, tail = plan.profile, plan.tail
+    if profile is None or tail is None:
+        return "" if plan.mode != "drive" else "a plan to drive without profile or tail"
+    for name, part in (("profile", profile), ("tail", tail)):
+        problem = _motion_problem(part, ego, settings)
+        if problem:
+            return f"{name}: {problem}"
+    if not (abs(tail.speed[-1]) <= 0.0):
+        return f"the tail ends at {tail.speed[-1]:.2f} m/s, not at rest"
+    problem = _joint_problem(profile, tail, plan.valid_for)
+    if problem or volume is None:
+        return problem
+    footprint = Footprint.of(ego, settings.footprint_spacing)
+    start_risk = float(trajectory_risk(profile, volume, footprint, ego)[0][0])
+    for name, part in (("profile", profile), ("tail", tail)):
+        problem = _risk_problem(part, ego, volume, footprint, start_risk, settings, tail=part is tail)
+        if problem:
+            return f"{name}: {problem}"
+    return ""
+
+
+def trajectory_risk(
+    part: Trajectory, volume: Volume, footprint: Footprint, ego: Ego
+) -> tuple[F64, npt.NDArray[np.bool_]]:
+    """Footprint maximum at each sample of a trajectory [m], slice by its time, and whether all of it is known."""
+    half = 0.5 * ego.wheelbase
+    x, y = part.x - half * np.cos(part.heading), part.y - half * np.sin(part.heading)
+    values, known = volume.sample(*footprint.at(x, y, part.heading))
+    return values.max(axis=-1)[volume.slice_at(part.t), np.arange(len(x))].astype(np.float64), np.asarray(
+        known.all(axis=-1)
+    )
+
+
+def _motion_problem(part: Trajectory, ego: Ego, settings: PlannerSettings) -> str:
+    if len(part.t) < 2:
+        return "fewer than two samples"
+    for name in ("t", "x", "y", "heading", "curvature", "speed", "acceleration"):
+        if not np.all(np.isfinite(getattr(part, name))):
+            return f"{name} is not finite"
+    dt = np.diff(part.t)
+    if not np.all(dt > 0.0):
+        return "times do not increase"
+    if not np.all(part.speed >= 0.0):
+        return "speed below 0"
+    for value, limit, what in (
+        (np.abs(part.curvature), 1.02 * settings.max_curvature, "curvature {:.3f} 1/m"),
+        (part.acceleration, settings.max_accel, "acceleration {:.2f} m/s²"),
+        (-part.acceleration, settings.max_brake, "braking {:.2f} m/s²"),
+        (part.speed**2 * np.abs(part.curvature), settings.max_lateral_accel, "lateral acceleration {:.2f} m/s²"),
+        (np.abs(np.diff(part.curvature)) / dt, 2.0 * settings.max_curvature_rate, "curvature rate {:.3f} 1/(m s)"),
+    ):
+        if not np.all(value <= limit):
+            return what.format(float(np.max(value))) + f", at most {limit:.3g}"
+    # what is said about speed, heading and curvature must be the motion of the points
+    half = 0.5 * ego.wheelbase
+    x, y = part.x - half * np.cos(part.heading), part.y - half * np.sin(part.heading)
+    mean = 0.5 * (part.speed[1:] + part.speed[:-1])
+    way = mean * dt
+    middle = part.heading[:-1] + 0.5 * wrap_angle(np.diff(part.heading))
+    along = np.cos(middle) * np.diff(x) + np.sin(middle) * np.diff(y)
+    across = -np.sin(middle) * np.diff(x) + np.cos(middle) * np.diff(y)
+    turn = 0.5 * (part.curvature[1:] + part.curvature[:-1]) * way
+    low = np.minimum(part.acceleration[1:], part.acceleration[:-1]) * dt  # between two samples it is one of these
+    high = np.maximum(part.acceleration[1:], part.acceleration[:-1]) * dt
+    change = np.diff(part.speed)
+    for value, bound, what in (
+        (np.abs(along - way), 0.05 + 0.03 * way, "position and speed disagree by {:.3f} m"),
+        (np.abs(across), 0.05 + 0.02 * way, "the vehicle would slide by {:.3f} m"),
+        (
+            np.abs(wrap_angle(np.diff(part.heading)) - turn),
+            0.015 + 0.02 * way,
+            "heading and curvature disagree by {:.3f} rad",
+        ),
+        (np.maximum(low - change, change - high), 0.03 + 0.0 * way, "speed and acceleration disagree by {:.3f} m/s"),
+    ):
+        if not np.all(value <= bound):
+            return what.format(float(np.max(value)))
+    return ""
+
+
+def _joint_problem(profile: Trajectory, tail: Trajectory, valid_for: float) -> str:
+    if not (abs(tail.t[0] - valid_for) <= 1e-6):
+        return f"the tail starts at {tail.t[0]:.3f} s, the profile is valid for {valid_for:.3f} s"
+    for name, limit in (("x", 0.05), ("y", 0.05), ("heading", 0.02), ("speed", 0.05), ("curvature", 0.02)):
+        at = float(np.interp(valid_for, profile.t, getattr(profile, name)))
+        if not (abs(at - getattr(tail, name)[0]) <= limit):
+            return f"the tail does not start where the profile is at {valid_for:.1f} s ({name})"
+    return ""
+
+
+def _risk_problem(
+    part: Trajectory,
+    ego: Ego,
+    volume: Volume,
+    footprint: Footprint,
+    start_risk: float,
+    settings: PlannerSettings,
+    *,
+    tail: bool,
+) -> str:
+    risk, known = trajectory_risk(part, volume, footprint, ego)
+    moving = part.speed > 0.05
+    bound = settings.r_hit if start_risk < settings.r_hit else start_risk + 0.1
+    braking = bool(np.all(np.diff(part.speed) <= 1e-9)) and _brakes_hard(part, settings)
+    bad = moving & ~(risk <= bound)
+    if bad.any() and not braking:
+        i = int(np.argmax(bad))
+        return f"meets risk {risk[i]:.2f} at {part.t[i]:.1f} s, contact is {settings.r_hit:.2f}"
+    if tail and (moving & ~known).any() and known[0] and not braking:
+        return "it runs beyond the grid before it stands"
+    return ""
+
+
+def _brakes_hard(part: Trajectory, settings: PlannerSettings) -> bool:
+    """Whether the brake goes to the emergency tier, up to the time that it needs to build up and to let go."""
+    fast = part.speed > 1.0
+    late = part.t - part.t[0] > settings.tier_brake[2] / settings.tier_jerk[2] + 0.15
+    return bool(np.all(part.acceleration[fast & late] <= -0.8 * settings.tier_brake[2]))
