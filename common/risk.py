@@ -36,6 +36,8 @@ NotNegative = Annotated[float, Meta(ge=0.0)]
 
 KMH = 3.6
 """km/h in one m/s."""
+COUPLED = 0.5
+"""Cosine of the largest turn across which neighbouring segments of a path share one arc length."""
 
 
 class RiskParameters(Settings, frozen=True, kw_only=True):
@@ -270,6 +272,12 @@ def local_closest(px: npt.ArrayLike, py: npt.ArrayLike, path: F64) -> list[tuple
     A segment counts where its closest point lies within it; a vertex, told by the segment that starts there, counts
     only where both neighbouring segments clamp to it. The end segments go on straight for ever.
 
+    Inside a bend two neighbouring segments both hold a closest point. Taking each one's own arc length there would make
+    the field jump where one of them ends, by the bend's angle times the distance. So both get the same one: the way on
+    a segment, plus what is already covered of the next, minus what is left of the one before. This is continuous in
+    every bend up to half its radius, and a vertex put on a segment changes nothing. Neighbours that turn by more
+    than 60° are not coupled.
+
     Args:
         px: Points [m], any shape.
         py: Their y.
@@ -283,19 +291,27 @@ def local_closest(px: npt.ArrayLike, py: npt.ArrayLike, path: F64) -> list[tuple
     lengths = np.hypot(step[:, 0], step[:, 1])
     tangents = step / lengths[:, None]
     starts = np.concatenate(([0.0], np.cumsum(lengths)))
+    coupled = np.sum(tangents[:-1] * tangents[1:], axis=-1) >= COUPLED
+    last = len(lengths) - 1
     found = []
     for k, (a, t, length) in enumerate(zip(path[:-1], tangents, lengths, strict=True)):
         rel = q - a
         along = rel @ t
         beside = rel[..., 1] * t[0] - rel[..., 0] * t[1]
-        within = np.ones(along.shape, dtype=bool)
+        counts = np.ones(along.shape, dtype=bool)
         before = np.zeros_like(along)
+        s = starts[k] + along
         if k > 0:
+            covered = rel @ tangents[k - 1]
             before = np.minimum(along, 0.0)
-            within &= (along >= 0.0) | (rel @ tangents[k - 1] > 0.0)
-        if k < len(lengths) - 1:
-            within &= along <= length
-        found.append((starts[k] + along - before, np.hypot(beside, before), within))
+            counts &= (along >= 0.0) | (covered > 0.0)
+            if coupled[k - 1]:
+                s = s - np.clip(-covered, 0.0, np.inf if k == 1 else lengths[k - 1])
+        if k < last:
+            counts &= along <= length
+            if coupled[k]:
+                s = s + np.clip((q - path[k + 1]) @ tangents[k + 1], 0.0, np.inf if k + 1 == last else lengths[k + 1])
+        found.append((s - before, np.hypot(beside, before), counts))
     return found
 
 

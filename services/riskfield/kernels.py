@@ -17,7 +17,10 @@ OBJECT_FIELDS = (
     "length", "width", "kinetic_low", "kinetic_high", "segment_first", "segment_last",
 )  # fmt: skip
 """A row of `objects`: one object in one slice, see `services.riskfield.packing`."""
-SEGMENT_FIELDS = ("x", "y", "tx", "ty", "s", "low", "high", "before_x", "before_y", "turn")
+SEGMENT_FIELDS = (
+    "x", "y", "tx", "ty", "s", "low", "high", "before_x", "before_y", "turn", "before_most", "next_x", "next_y",
+    "next_0", "next_most",
+)  # fmt: skip
 """A row of `segments`: one segment of one object's path."""
 LINE_FIELDS = (
     "x", "y", "tx", "ty", "length", "next_x", "next_y", "half_width", "k_s", "flat", "side", "depth", "kind", "index",
@@ -128,8 +131,11 @@ _POTENTIAL = """
     auto kinetic = [&](const float* q, const float* g, float rx, float ry) {
         const float al = rx * g[2] + ry * g[3], pe = ry * g[2] - rx * g[3];
         const float below = al < g[5] ? al - g[5] : 0.0f;
-        const bool counts = al <= g[6] && (al >= g[5] || rx * g[7] + ry * g[8] > 0.0f);
-        const float s = g[4] + al - below - q[12], d2 = pe * pe + below * below;
+        const float covered = rx * g[7] + ry * g[8];
+        const bool counts = al <= g[6] && (al >= g[5] || covered > 0.0f);
+        float back = max0(-covered), on = max0(rx * g[11] + ry * g[12] - g[13]);
+        back = back < g[10] ? back : g[10]; on = on < g[14] ? on : g[14];
+        const float s = g[4] + al - below + on - back - q[12], d2 = pe * pe + below * below;
         const float lateral = max0(1.0f - d2 / (q[14] * q[14]));
         float e;
         if (p.paper) {
@@ -157,7 +163,7 @@ _FIELD = (
 #else
     const int MOST = 256;
 #endif
-    const int NO = 19, NS = 10;
+    const int NO = 19, NS = 15;
     const bool square = p.k1 == 2.0f, linear = p.k1 == 1.0f;
     const int runs = (p.columns + p.run - 1) / p.run, blocks = p.rows / 4;
     const int slice = task / (blocks * runs), block = (task / runs) % blocks;

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.messages import F32, F64, Grid
-from common.risk import RiskParameters
+from common.risk import COUPLED, RiskParameters
 from common.risk_sources import Bools, DynamicSources, Indices
 from services.riskfield.grid import into_grid
 from services.riskfield.kernels import OBJECT_FIELDS, SEGMENT_FIELDS
@@ -103,7 +103,11 @@ def _segments(vertices: F64, s: F64, count: Indices) -> F32:
     low, high = np.zeros_like(length), length.copy()
     # the first segment has no beginning: it hangs on its end
     anchor[:, 0], s_anchor[:, 0], low[:, 0], high[:, 0] = vertices[:, 1], s[:, 1], -FAR, 0.0
-    high[np.arange(n), count - 2] = FAR
+    following = np.concatenate((tangent[:, 1:], np.zeros((n, 1, 2))), axis=1)
+    coupled = dot >= COUPLED
+    span = np.concatenate((np.zeros((n, 1)), length), axis=1)
+    span[:, 1] = span[np.arange(n), count - 1] = FAR
+    last = (np.arange(n), count - 2)
     values: dict[str, F64] = {
         "x": anchor[..., 0],
         "y": anchor[..., 1],
@@ -115,8 +119,14 @@ def _segments(vertices: F64, s: F64, count: Indices) -> F32:
         "before_x": before[..., 0],
         "before_y": before[..., 1],
         "turn": np.where(dot >= 0.0, cross, 1.0),
+        "before_most": np.where(coupled, span[:, :-1], 0.0),
+        "next_x": following[..., 0],
+        "next_y": following[..., 1],
+        "next_0": high * np.concatenate((dot[:, 1:], np.zeros((n, 1))), axis=1),
+        "next_most": np.concatenate((np.where(coupled, span[:, 1:], 0.0)[:, 1:], np.zeros((n, 1))), axis=1),
     }
     for k, name in enumerate(SEGMENT_FIELDS):
         out[..., k] = values[name]
+    out[(*last, SEGMENT_FIELDS.index("high"))] = FAR
     out[:, 0, SEGMENT_FIELDS.index("turn")] = 0.0
     return out
