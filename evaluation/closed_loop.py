@@ -373,9 +373,8 @@ def _show(result: DriveResult) -> None:
     for p in result.plans:
         now = (p["mode"], p["reason"], p["decision"])
         if now != said:
-            print(
-                f"  {p['t']:6.2f} {p['speed']:5.2f} → {p['desired_speed']:5.2f}  {p['mode']}: {p['reason']} | {p['decision']}"
-            )
+            speeds = f"{p['speed']:5.2f} → {p['desired_speed']:5.2f}"
+            print(f"  {p['t']:6.2f} {speeds}  {p['mode']}: {p['reason']} | {p['decision']}")
         said = now
     for i in result.summary["interventions"]:
         print(f"  {i['t']:6.2f} {i['kind']} {i['speed_from']} → {i['speed_to']}: {i['sentence']}")

@@ -23,8 +23,8 @@ class RigSettings(Settings, frozen=True, kw_only=True):
     hold_deceleration: Positive = 3.0  # [m/s²], braking without a plan to drive
     tracking_length_s: Positive = 0.6  # [s] × speed: length in which a lateral error decays …
     tracking_length_m: Positive = 2.5  # [m] … but at least this
-    tracking_speed_gain: Annotated[float, Meta(ge=0.0)] = 2.0  # [1/s], on the speed error
-    tracking_position_gain: Annotated[float, Meta(ge=0.0)] = 1.0  # [1/s²], on the position error along the path
+    tracking_speed_gain: Annotated[float, Meta(ge=0.0)] = 1.0  # [1/s], on the speed error
+    tracking_position_gain: Annotated[float, Meta(ge=0.0)] = 0.3  # [1/s²], on the position error along the path
     substep_s: Annotated[float, Meta(gt=0.0, le=0.02)] = 0.005  # [s], integration step
 
     # the live run

@@ -196,5 +196,7 @@ class SimulatedVehicle:
         epsilon = float(wrap_angle(self.heading - psi))
         curvature = kappa - e / length**2 - 2.0 * epsilon / length
         behind = min(max(s_wanted - s, -1.0), 1.0)
+        if tau > self._wanted.t[-1]:  # the plan is over: stand
+            return -k.hold_deceleration, curvature
         a = a_wanted + k.tracking_speed_gain * (v_wanted - self.speed) + k.tracking_position_gain * behind
         return a, curvature

@@ -12,19 +12,20 @@ from __future__ import annotations
 
 import csv
 import gzip
-from collections.abc import Iterator
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from common.geometry import Polyline
-from common.messages import F64, FRAME_S, Goal, Map, ObjectClass, Route
+from common.messages import F64, FRAME_S, I64, Goal, Map, ObjectClass, Route
 from rig.settings import RigSettings
 from rig.sources.motion import heading_from_motion, smoothed
 from rig.world import SIZES, Scenario, ScenarioError, Track, ego_at
 
 COLUMNS = ("rec", "track", "type", "frame", "t", "x", "y", "vx", "vy", "heading", "length", "width")
+OPTIONAL = ("heading", "length", "width")
 NEEDED = ("rec", "track", "type", "frame", "t", "x", "y")
 CLASSES = {k.name.lower(): k for k in ObjectClass}
 FOUR_WHEELS = (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS)
@@ -35,7 +36,7 @@ JUMP_MPS = 90.0  # faster between two frames is not a motion
 LONG_ENOUGH_S, FAR_ENOUGH_M = 6.0, 20.0
 
 
-@dataclass
+@dataclass(frozen=True)
 class Rows:
     """One track of a table: rows in order of frame, and the line of the first."""
 
@@ -43,8 +44,8 @@ class Rows:
     name: str
     kind: str
     line: int
-    frames: list[int]
-    values: list[tuple[float, float, float, float, float]]  # x, y, heading, length, width; NaN: not given
+    frames: I64
+    values: F64  # x, y, heading, length, width; NaN: not given; shape [k, 5]
 
 
 def load(path: Path, selection: str, ego_track: int | None, settings: RigSettings) -> Scenario:
@@ -77,20 +78,30 @@ def read(path: Path) -> list[Rows]:
     Raises:
         ScenarioError: missing columns, a value that is no number or not finite, a wrong rate, a repeated row, a gap.
     """
-    tracks: dict[tuple[str, str], Rows] = {}
-    for line, row in _lines(path):
-        key = (row["rec"], row["track"])
-        rows = tracks.get(key)
-        if rows is None:
-            rows = tracks[key] = Rows(key[0], key[1], row["type"].strip().lower(), line, [], [])
-        _add(path, line, row, rows)
-    if not tracks:
+    names, rows, lines = _cells(path)
+    if not rows:
         raise ScenarioError("no rows", path=path)
-    return list(tracks.values())
+    column = {name: i for i, name in enumerate(names)}
+    numbers = {c: _numbers(path, lines, rows, column, c) for c in ("frame", "t", "x", "y", *OPTIONAL)}
+    _check_rows(path, lines, numbers)
+    keys: dict[tuple[str, str], list[int]] = {}
+    rec, track, kind = (column[c] for c in ("rec", "track", "type"))
+    for i, row in enumerate(rows):
+        keys.setdefault((row[rec], row[track]), []).append(i)
+    found = []
+    for (recording, name), i in keys.items():
+        kinds = [rows[k][kind].strip().lower() for k in i]
+        _check_track(path, f"track {name} of {recording}", lines[i], numbers["frame"][i], numbers["x"][i],
+                     numbers["y"][i], kinds)  # fmt: skip
+        values = np.stack([numbers[c][i] for c in ("x", "y", *OPTIONAL)], axis=-1)
+        found.append(Rows(recording, name, kinds[0], int(lines[i[0]]), numbers["frame"][i].astype(np.int64), values))
+    return found
 
 
-def _lines(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+def _cells(path: Path) -> tuple[list[str], list[list[str]], I64]:
+    """The header, the rows and their lines."""
     opener = gzip.open if path.name.endswith(".gz") else open
+    rows, lines = [], []
     try:
         with opener(path, "rt", encoding="utf-8", newline="") as f:
             reader = csv.reader(f)
@@ -104,59 +115,67 @@ def _lines(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
                     continue
                 if len(values) != len(names):
                     raise ScenarioError(f"{len(values)} values, expected {len(names)}", path=path, line=reader.line_num)
-                yield reader.line_num, dict(zip(names, values, strict=True))
-    except (OSError, EOFError, UnicodeDecodeError, csv.Error) as e:
+                rows.append(values)
+                lines.append(reader.line_num)
+    except (OSError, EOFError, UnicodeDecodeError, csv.Error, zlib.error) as e:
         raise ScenarioError(f"cannot be read: {e}", path=path) from None
+    return names, rows, np.array(lines, dtype=np.int64)
 
 
-def _add(path: Path, line: int, row: dict[str, str], rows: Rows) -> None:
-    frame = _number(path, line, row, "frame")
-    t = _number(path, line, row, "t")
-    if frame != round(frame):
-        raise ScenarioError(f"frame {row['frame']!r} is not a whole number", path=path, line=line)
-    if abs(t - frame * FRAME_S) > 0.02:
+def _numbers(path: Path, lines: I64, rows: list[list[str]], column: dict[str, int], name: str) -> F64:
+    """One column as numbers; empty ones are NaN where the column is optional."""
+    k = column.get(name)
+    if k is None:
+        return np.full(len(rows), np.nan)
+    empty = "nan" if name in OPTIONAL else ""
+    values = np.empty(len(rows))
+    for i, row in enumerate(rows):
+        try:
+            values[i] = float(row[k] or empty)
+        except ValueError:
+            raise ScenarioError(f"{name} {row[k]!r} is not a number", path=path, line=int(lines[i])) from None
+    bad = ~np.isfinite(values) | (np.abs(values) > 1e8)
+    for i in np.flatnonzero(bad):
+        if name not in OPTIONAL or rows[i][k].strip():
+            raise ScenarioError(f"{name} is {rows[i][k]}", path=path, line=int(lines[i]))
+    return values
+
+
+def _check_rows(path: Path, lines: I64, numbers: dict[str, F64]) -> None:
+    frame, t = numbers["frame"], numbers["t"]
+    for i in np.flatnonzero(frame != np.round(frame))[:1]:
+        raise ScenarioError(f"frame {frame[i]:g} is not a whole number", path=path, line=int(lines[i]))
+    for i in np.flatnonzero(~(np.abs(t - frame * FRAME_S) <= 0.02))[:1]:
         raise ScenarioError(
-            f"frame {int(frame)} at t = {t:g} s: not 10 Hz",
+            f"frame {frame[i]:.0f} at t = {t[i]:g} s: not 10 Hz",
             path=path,
-            line=line,
+            line=int(lines[i]),
             hint="Resample the table to 10 Hz, with t = frame / 10",
         )
-    if rows.frames:
-        where = f"track {rows.name} of {rows.rec}"
-        if frame == rows.frames[-1] or (frame < rows.frames[-1] and int(frame) in rows.frames):
-            raise ScenarioError(f"{where}: frame {int(frame)} stands there twice", path=path, line=line)
-        if frame != rows.frames[-1] + 1:
-            raise ScenarioError(
-                f"{where}: frame {int(frame)} follows {rows.frames[-1]}",
-                path=path,
-                line=line,
-                hint="Frames of a track must follow each other at 10 Hz; give the part behind a gap another name",
-            )
-        if row["type"].strip().lower() != rows.kind:
-            raise ScenarioError(f"{where}: {row['type']!r} was {rows.kind!r} before", path=path, line=line)
-    values = tuple(_number(path, line, row, c) for c in ("x", "y"))
-    optional = tuple(_number(path, line, row, c, empty=True) for c in ("heading", "length", "width"))
-    if rows.values:
-        step = float(np.hypot(values[0] - rows.values[-1][0], values[1] - rows.values[-1][1]))
-        if step > JUMP_MPS * FRAME_S:
-            raise ScenarioError(f"track {rows.name} of {rows.rec} jumps {step:.0f} m", path=path, line=line)
-    if any(not (np.isnan(v) or 0.05 <= v <= 100.0) for v in optional[1:]):
-        raise ScenarioError(f"a size of {row['length']} × {row['width']} m", path=path, line=line)
-    rows.frames.append(int(frame))
-    rows.values.append((values[0], values[1], optional[0], optional[1], optional[2]))
+    for name in ("length", "width"):
+        v = numbers[name]
+        for i in np.flatnonzero((v < 0.05) | (v > 100.0))[:1]:
+            raise ScenarioError(f"a {name} of {v[i]:g} m", path=path, line=int(lines[i]))
 
 
-def _number(path: Path, line: int, row: dict[str, str], column: str, *, empty: bool = False) -> float:
-    text = row.get(column, "").strip()
-    if not text and empty:
-        return float("nan")
-    try:
-        value = float(text)
-    except ValueError:
-        raise ScenarioError(f"{column} {text!r} is not a number", path=path, line=line) from None
-    if not np.isfinite(value) or abs(value) > 1e8:
-        raise ScenarioError(f"{column} is {text}", path=path, line=line)
-    return value
+def _check_track(path: Path, who: str, lines: I64, frame: F64, x: F64, y: F64, kinds: list[str]) -> None:
+    step = np.diff(frame)
+    for i in np.flatnonzero(step != 1)[:1]:
+        line = int(lines[i + 1])
+        if frame[i + 1] in frame[: i + 1]:
+            raise ScenarioError(f"{who}: frame {frame[i + 1]:.0f} stands there twice", path=path, line=line)
+        raise ScenarioError(
+            f"{who}: frame {frame[i + 1]:.0f} follows {frame[i]:.0f}",
+            path=path,
+            line=line,
+            hint="Frames of a track must follow each other at 10 Hz; give the part behind a gap another name",
+        )
+    jump = np.hypot(np.diff(x), np.diff(y))
+    for i in np.flatnonzero(jump > JUMP_MPS * FRAME_S)[:1]:
+        raise ScenarioError(f"{who} jumps {jump[i]:.0f} m", path=path, line=int(lines[i + 1]))
+    for i, kind in enumerate(kinds):
+        if kind != kinds[0]:
+            raise ScenarioError(f"{who}: {kind!r} was {kinds[0]!r} before", path=path, line=int(lines[i]))
 
 
 # --- choosing ---
@@ -182,7 +201,7 @@ def _farthest(path: Path, tracks: list[Rows]) -> Rows:
     best, farthest = None, FAR_ENOUGH_M
     for r in tracks:
         if CLASSES.get(r.kind, ObjectClass.UNKNOWN) in FOUR_WHEELS and len(r.frames) > LONG_ENOUGH_S / FRAME_S:
-            p = np.array([v[:2] for v in r.values])[::5]
+            p = r.values[::5, :2]
             driven = float(np.hypot(*np.diff(p, axis=0).T).sum())
             if driven > farthest:
                 best, farthest = r, driven
@@ -205,7 +224,7 @@ def _some(names: list[str]) -> str:
 
 def _scenario(path: Path, ego: Rows, others: list[Rows], settings: RigSettings) -> Scenario:
     warnings: list[str] = []
-    start = ego.frames[1]
+    start = int(ego.frames[1])
     human = _track(0, ego, start, warnings)
     tracks = [_track(i + 1, r, start, warnings) for i, r in enumerate(others)]
     last = human.last
@@ -234,7 +253,7 @@ def _scenario(path: Path, ego: Rows, others: list[Rows], settings: RigSettings) 
 
 
 def _track(id: int, rows: Rows, start: int, warnings: list[str]) -> Track:
-    x, y, heading, length, width = (np.array(c) for c in zip(*rows.values, strict=True))
+    x, y, heading, length, width = (np.ascontiguousarray(c) for c in rows.values.T)
     cls = CLASSES.get(rows.kind, ObjectClass.UNKNOWN)
     if rows.kind not in CLASSES:
         text = f"type {rows.kind!r} is taken as unknown"
@@ -248,7 +267,7 @@ def _track(id: int, rows: Rows, start: int, warnings: list[str]) -> Track:
         cls=cls,
         length=_mean(length, SIZES[cls][0]),
         width=_mean(width, SIZES[cls][1]),
-        frame0=rows.frames[0] - start,
+        frame0=int(rows.frames[0]) - start,
         x=x,
         y=y,
         heading=heading,

@@ -1,0 +1,116 @@
+"""The built-in scenarios are worlds one can drive in, nominal and varied."""
+
+import numpy as np
+import pytest
+
+from common import codec
+from common.geometry import Polyline, distance_between_rectangles, rectangle_corners, wrap_angle
+from common.messages import PREDICTION_FRAMES
+from rig.sources import ScenarioError, builtin_scenarios, generated, load_scenario
+
+NAMES = sorted(builtin_scenarios())
+SEEDS = (0, 1, 7, 1234)
+
+
+def test_the_promised_ones_are_there() -> None:
+    promised = {
+        "following",
+        "slow_pedestrian",
+        "truck_adjacent",
+        "crossing_pedestrian",
+        "left_turn",
+        "u_turn",
+        "straight",
+    }
+    assert promised <= set(NAMES)
+    assert all(builtin_scenarios().values())
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", NAMES)
+def test_every_message_keeps_the_contract(name: str, seed: int) -> None:
+    s = load_scenario(name, seed=seed)
+    assert s.map is not None
+    assert s.map.lanes
+    assert 15.0 <= s.duration_s <= 40.0
+    for message in (s.map, s.route, s.ego0, s.closures_at(0.0)):
+        codec.check(message)
+    for t in np.arange(-1.0, s.duration_s, 0.37):
+        codec.check(s.objects_at(float(t)))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", NAMES)
+def test_the_ego_starts_on_its_route_facing_along_it_before_the_goal(name: str, seed: int) -> None:
+    s = load_scenario(name, seed=seed)
+    line = Polyline.of(s.route.reference)
+    at, beside = line.project(np.array([s.ego0.x, s.ego0.y]))
+    goal, off = line.project(np.array([s.route.goal.x, s.route.goal.y]))
+    assert abs(beside) < 0.05
+    assert abs(wrap_angle(s.ego0.heading - line.heading(at))) < 0.02
+    assert abs(off) < 0.1
+    assert 50.0 < goal - at < 20.0 * s.duration_s
+    assert line.length - goal >= 100.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_route_lies_on_its_lanes_and_can_be_steered(name: str) -> None:
+    s = load_scenario(name)
+    assert s.map is not None
+    lanes = {k.id: k for k in s.map.lanes}
+    line = Polyline.of(s.route.reference).resampled(0.5)
+    heading = np.unwrap(np.arctan2(*np.diff(line.points, axis=0).T[::-1]))
+    assert np.abs(np.diff(heading) / 0.5).max() < np.tan(0.55) / 2.7
+    at = float(line.project(np.array([s.ego0.x, s.ego0.y]))[0])
+    goal = float(line.project(np.array([s.route.goal.x, s.route.goal.y]))[0])
+    driven = line.at(np.arange(at, goal, 2.0))
+    distance = [np.abs(Polyline.of(lanes[i].centre).project(driven)[1]) for i in s.route.lane_ids]
+    assert np.min(distance, axis=0).max() < 0.5
+    for a, b in zip(s.route.lane_ids, s.route.lane_ids[1:], strict=False):
+        assert b in lanes[a].successors
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", NAMES)
+def test_nobody_starts_in_the_ego_or_within_two_metres_of_it(name: str, seed: int) -> None:
+    s = load_scenario(name, seed=seed)
+    o = s.objects_at(0.0)
+    if len(o.id):
+        ego = rectangle_corners(s.ego0.x, s.ego0.y, s.ego0.heading, s.ego0.length, s.ego0.width)
+        others = rectangle_corners(o.x, o.y, o.heading, o.length, o.width)
+        assert distance_between_rectangles(ego, others).min() > 2.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_objects_move_as_their_heading_says_and_none_teleports(name: str) -> None:
+    s = load_scenario(name)
+    for k in s.tracks:
+        speed = np.hypot(*k.velocity.T)
+        assert speed.max() < 20.0
+        a_step = 1.5 if k.cls == generated.ObjectClass.PEDESTRIAN else 0.6  # m/s in 0.1 s: who walks can stop in a step
+        assert np.abs(np.diff(speed)).max() < a_step
+        moving = speed > 0.5
+        direction = np.arctan2(k.velocity[:, 1], k.velocity[:, 0])
+        assert np.abs(wrap_angle(direction - k.heading)[moving]).max(initial=0.0) < 0.1
+        assert len(k.x) >= PREDICTION_FRAMES
+
+
+def test_the_same_seed_gives_the_same_world_and_another_one_another() -> None:
+    a, b, c = (load_scenario("following", seed=n) for n in (3, 3, 4))
+    assert np.array_equal(a.route.reference, b.route.reference)
+    assert all(np.array_equal(p.x, q.x) for p, q in zip(a.tracks, b.tracks, strict=True))
+    assert not np.array_equal(a.tracks[0].x, c.tracks[0].x)
+
+
+def test_the_neighbour_can_be_a_car_instead_of_a_truck() -> None:
+    s = generated.truck_adjacent(generated.Draw(0), generated.ObjectClass.CAR)
+    assert s.tracks[0].cls == generated.ObjectClass.CAR
+    assert s.tracks[0].length < 6.0
+
+
+def test_an_unknown_name_is_refused_with_a_suggestion() -> None:
+    with pytest.raises(ScenarioError, match="slow_pedestrian") as e:
+        load_scenario("slow_pedestrain")
+    assert "Did you mean slow_pedestrian" in str(e.value)
+    with pytest.raises(ScenarioError, match="no such file"):
+        load_scenario("nowhere/nothing.xml")
