@@ -256,7 +256,8 @@ def _write(path: Path, result: dict[str, Any]) -> None:
 
 
 def _conclude(console: Console, result: dict[str, Any]) -> None:
-    console.print(report.table(result))
+    if result["duration_s"] > 0.0:  # otherwise it never came to a drive
+        console.print(report.table(result))
     for failure in result["failures"]:
         _say(f"[red]failed[/] {escape(failure)}")
     recording = result["recording"]

@@ -65,7 +65,7 @@ class Crew:
         for child in self.children:
             code = child.process.poll()
             if code == BAD_CONFIGURATION:
-                raise ConfigError(child.tail(3))
+                raise ConfigError(child.tail(1))
             if code is not None:
                 how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
                 tail = child.tail() or "(its log is empty)"

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from common import config, topics
+from common.config import ConfigError
 from common.health import Health
 from common.risk import RiskParameters
 from common.service import FatalError, Idle, Inputs, Output, Service, Step, main
 from services.riskfield.core import RiskField
 from services.riskfield.settings import RiskfieldSettings
 
-PERIOD_S = 0.1
-
 
 def build(tree: config.Tree, health: Health) -> Step:
     """Wire the core to the loop; compiles the kernels."""
     settings = config.section(tree, "riskfield", RiskfieldSettings)
     health.say("starting", "compiling kernels")
-    core = RiskField(settings, config.section(tree, "risk", RiskParameters), settings.device)
+    try:
+        core = RiskField(settings, config.section(tree, "risk", RiskParameters), settings.device)
+    except RuntimeError as e:  # no such device here
+        raise ConfigError(str(e)) from None
     core.warm_up()
     health.detail["device"] = core.device
 
@@ -53,7 +55,8 @@ SERVICE = Service(
     subscribes=(topics.PREDICTION, topics.EGO, topics.MAP, topics.CLOSURES),
     publishes=topics.RISK,
     trigger=topics.PREDICTION,
-    period_s=PERIOD_S * 1.2,  # a prediction that is merely late by jitter is waited for
+    period_s=0.1,
+    grace_s=0.02,  # a prediction that is merely late by jitter is waited for
     build=build,
 )
 
