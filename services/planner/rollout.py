@@ -130,63 +130,88 @@ def roll_out(
         settings: The controller's.
     """
     n = round(settings.horizon_s / DT)
-    times: F64 = np.asarray(DT * np.arange(n + 1), dtype=np.float64)
-    slices = np.clip(np.searchsorted(field.starts, times + 1e-9, side="right") - 1, 0, field.slices - 1)
-    k, p = len(path), field.points
-    base_path, base = path * p, path * (field.slices * p)
+    k = len(path)
     s, v, a = np.zeros(k), np.full(k, start.speed), np.full(k, start.acceleration)
     out_s, out_v, out_a = np.empty((n + 1, k)), np.empty((n + 1, k)), np.empty((n + 1, k))
-    failure, failed_at = np.zeros(k, dtype=np.intp), np.full(k, n, dtype=np.intp)
+    out_s[0], out_v[0], out_a[0] = s, v, a
+    base = path * field.points
+    inverse, last = 1.0 / field.step, field.points - 1.001
     look = settings.tau + 0.5 * settings.curve_brake / settings.jerk
-    tau = settings.tau * (1.0, 0.6, 0.3)[tier.index]
-    for i in range(n + 1):
-        t = times[i]
-        out_s[i], out_v[i], out_a[i] = s, v, a
-        f = s / field.step
-        cell = np.minimum(f.astype(np.intp), p - 1)
-        here = base + slices[i] * p + cell
-        moving = v > 0.05
-        hit = field.hit[here]
-        bad = np.where(s + np.where(moving, _CLEAR, 0.0) < hit, 0, 1)
-        if tier.soft:
-            law = field.law[here]
-            holding = t <= np.minimum(hold, settings.hold_s)
-            left = np.maximum(target - tier.brake * max(t - settings.hold_s, 0.0), 0.0)
-            above = np.where(holding, target > law + 1e-9, v > np.maximum(law, left) + 0.05)
-            bad = np.where((bad == 0) & above, 2, bad)
-            if t >= _SOFT_AFTER:
-                need = v * settings.headway + v * v / (2.0 * settings.stop_brake)
-                fast = (need > field.room[here] - s) & (v > 0.85 * field.away[here] + 0.05)
-                bad = np.where((bad == 0) & fast & moving, 3, bad)
-                put = need > field.stays[base_path + cell] - s
-                bad = np.where((bad == 0) & put & moving, 4, bad)
-        new = (failure == 0) & (bad > 0)
-        failure[new], failed_at[new] = bad[new], i
-        if i == n:
-            break
-        ahead = np.minimum((s + v * look) / field.step, p - 1.001)
+    gain = 1.0 / (settings.tau * (1.0, 0.6, 0.3)[tier.index])
+    down, up_brake, up_gas = -tier.jerk * DT, max(settings.release_jerk, tier.jerk) * DT, settings.jerk * DT
+    up_comfort = max(settings.jerk, tier.jerk) * DT
+    cap = np.sqrt(field.cap_squared)
+    target = target.copy()
+    for i in range(n):
+        ahead = np.minimum((s + v * look) * inverse, last)
         c = ahead.astype(np.intp)
         w = ahead - c
-        c += base_path
-        far = np.sqrt(field.cap_squared[c] * (1.0 - w) + field.cap_squared[c + 1] * w)
-        near = np.sqrt(field.cap_squared[base_path + cell])
-        stopping = t >= hold - 1e-9
-        wanted = np.where(stopping, 0.0, np.minimum(np.minimum(target, far), near))
-        a_wanted = (wanted - v) / tau
-        a_wanted = np.where(stopping, -tier.brake, a_wanted)
-        # let the brake go in time to stand softly
-        gentle = np.where(stopping & (tier.index > 0), np.inf, np.sqrt(2.0 * settings.jerk * v) + 0.15)
-        a_wanted = np.where((wanted <= 0.0) | (tier.index == 0), np.maximum(a_wanted, -gentle), a_wanted)
-        a_wanted = np.where((wanted <= 0.0) & (v > 0.0), np.minimum(a_wanted, -0.15), a_wanted)
-        a_wanted = np.clip(a_wanted, -tier.brake, settings.accel)
-        up = np.where(a < -1.05 * settings.tier_brake[0], settings.release_jerk, settings.jerk)
-        up = np.where(a < 0.0, np.maximum(up, tier.jerk), up)
-        a_new = a + np.clip(a_wanted - a, -tier.jerk * DT, up * DT)
+        c += base
+        squared = field.cap_squared.take(c)
+        squared += w * (field.cap_squared.take(c + 1) - squared)
+        here = base + np.minimum(s * inverse, last).astype(np.intp)
+        stopping = hold <= DT * i + 1e-9
+        wanted = np.minimum(np.minimum(target, np.sqrt(squared)), cap.take(here))
+        wanted[stopping] = 0.0
+        a_wanted = (wanted - v) * gain
+        a_wanted[stopping] = -tier.brake
+        rest = wanted <= 0.0
+        # let the brake go in time to stand softly, but do come to rest
+        if tier.index == 0:
+            a_wanted = np.maximum(a_wanted, -0.15 - np.sqrt(2.0 * settings.jerk * v))
+        a_wanted = np.where(rest & (v > 0.0), np.minimum(a_wanted, -0.15), a_wanted)
+        a_wanted = np.minimum(np.maximum(a_wanted, -tier.brake), settings.accel)
+        up = np.where(a < -1.05 * settings.tier_brake[0], up_brake, np.where(a < 0.0, up_comfort, up_gas))
+        a_new = a + np.minimum(np.maximum(a_wanted - a, down), up)
         mean = 0.5 * (a + a_new)
         v_new = v + mean * DT
+        moved = 0.5 * DT * (v + v_new)
         stops = v_new <= 1e-3
-        rest = np.where(v > 0.0, v * v / np.maximum(-2.0 * mean, 1e-6), 0.0)  # way of a stop within this step
-        s = s + np.where(stops, np.minimum(rest, v * DT), 0.5 * (v + v_new) * DT)
-        v = np.where(stops, 0.0, v_new)
-        a = np.where(stops, np.where(wanted <= 0.0, 0.0, np.maximum(a_new, 0.0)), a_new)
+        if stops.any():
+            way = np.where(v > 0.0, v * v / np.maximum(-2.0 * mean, 1e-6), 0.0)  # of a stop within this step
+            moved = np.where(stops, np.minimum(way, v * DT), moved)
+            v_new = np.where(stops, 0.0, v_new)
+            a_new = np.where(stops, np.where(rest, 0.0, np.maximum(a_new, 0.0)), a_new)
+        s = s + moved
+        v, a = v_new, a_new
+        out_s[i + 1], out_v[i + 1], out_a[i + 1] = s, v, a
+    times: F64 = np.asarray(DT * np.arange(n + 1), dtype=np.float64)
+    failure, failed_at = _check(field, times, out_s, out_v, path, target, hold, tier, settings)
     return Rollouts(times, out_s.T, out_v.T, out_a.T, failure, failed_at)
+
+
+def _check(
+    field: Field,
+    times: F64,
+    s: F64,
+    v: F64,
+    path: Ints,
+    target: F64,
+    hold: F64,
+    tier: Tier,
+    settings: PlannerSettings,
+) -> tuple[Ints, Ints]:
+    """First failed check of motions s, v [T, K] and its step, each [K]."""
+    n, k = s.shape
+    slices = np.clip(np.searchsorted(field.starts, times + 1e-9, side="right") - 1, 0, field.slices - 1)
+    cell = np.minimum((s * (1.0 / field.step)).astype(np.intp), field.points - 1)
+    here = (path * (field.slices * field.points))[None] + (slices * field.points)[:, None] + cell
+    moving = v > 0.05
+    bad = np.where(s + _CLEAR * moving < field.hit.take(here), 0, 1)
+    if tier.soft:
+        law = field.law.take(here)
+        t = times[:, None]
+        left = np.maximum(target - tier.brake * np.maximum(t - settings.hold_s, 0.0), 0.0)
+        above = np.where(t <= np.minimum(hold, settings.hold_s), target > law + 1e-9, v > np.maximum(law, left) + 0.05)
+        bad = np.where((bad == 0) & above, 2, bad)
+        late = slice(int(np.searchsorted(times, _SOFT_AFTER - 1e-9)), None)
+        vl, sl = v[late], s[late]
+        need = vl * settings.headway + vl * vl * (0.5 / settings.stop_brake) + sl
+        fast = (need > field.room.take(here[late])) & (vl > 0.85 * field.away.take(here[late]) + 0.05)
+        put = need > field.stays.take((path * field.points)[None] + cell[late])
+        soft = np.where(fast, 3, np.where(put, 4, 0)) * moving[late]
+        bad[late] = np.where(bad[late] == 0, soft, bad[late])
+    any_bad = bad > 0
+    failed = any_bad.any(axis=0)
+    first = np.where(failed, any_bad.argmax(axis=0), n - 1)
+    return np.where(failed, bad[first, np.arange(k)], 0), first
