@@ -56,14 +56,10 @@ def load(path: Path, selection: str, ego_track: int | None, settings: RigSetting
     Raises:
         ScenarioError: the file, the line, why, and what to do.
     """
-    tracks = read(path)
     rec, _, name = selection.partition(":")
     if ego_track is not None:
         name = str(ego_track)
-    recordings = list(dict.fromkeys(r.rec for r in tracks))
-    if rec and rec not in recordings:
-        raise ScenarioError(f"no recording {rec!r}", path=path, hint=f"It holds: {_some(recordings)}")
-    inside = [r for r in tracks if not rec or r.rec == rec]
+    inside = read(path, rec)
     ego = _named(path, inside, name) if name else _farthest(path, inside)
     others = [r for r in inside if r.rec == ego.rec and r is not ego]
     return _scenario(path, ego, others, settings)
@@ -72,33 +68,33 @@ def load(path: Path, selection: str, ego_track: int | None, settings: RigSetting
 # --- reading ---
 
 
-def read(path: Path) -> list[Rows]:
-    """All tracks of a table, in order of their first row.
+def read(path: Path, only: str = "") -> list[Rows]:
+    """All tracks of a table, or of one recording in it, in order of their first row.
 
     Raises:
         ScenarioError: missing columns, a value that is no number or not finite, a wrong rate, a repeated row, a gap.
     """
-    names, rows, lines = _cells(path)
+    names, rows, lines = _cells(path, only)
     if not rows:
-        raise ScenarioError("no rows", path=path)
+        raise ScenarioError(f"no recording {only!r}" if only else "no rows", path=path)
     column = {name: i for i, name in enumerate(names)}
     numbers = {c: _numbers(path, lines, rows, column, c) for c in ("frame", "t", "x", "y", *OPTIONAL)}
     _check_rows(path, lines, numbers)
-    keys: dict[tuple[str, str], list[int]] = {}
+    members: dict[tuple[str, str], list[int]] = {}
     rec, track, kind = (column[c] for c in ("rec", "track", "type"))
     for i, row in enumerate(rows):
-        keys.setdefault((row[rec], row[track]), []).append(i)
+        members.setdefault((row[rec], row[track]), []).append(i)
     found = []
-    for (recording, name), i in keys.items():
-        kinds = [rows[k][kind].strip().lower() for k in i]
-        _check_track(path, f"track {name} of {recording}", lines[i], numbers["frame"][i], numbers["x"][i],
-                     numbers["y"][i], kinds)  # fmt: skip
-        values = np.stack([numbers[c][i] for c in ("x", "y", *OPTIONAL)], axis=-1)
-        found.append(Rows(recording, name, kinds[0], int(lines[i[0]]), numbers["frame"][i].astype(np.int64), values))
+    for (recording, name), at in members.items():
+        kinds = [rows[k][kind].strip().lower() for k in at]
+        own = {c: v[at] for c, v in numbers.items()}
+        _check_track(path, f"track {name} of {recording}", lines[at], own, kinds)
+        values = np.stack([own[c] for c in ("x", "y", *OPTIONAL)], axis=-1)
+        found.append(Rows(recording, name, kinds[0], int(lines[at[0]]), own["frame"].astype(np.int64), values))
     return found
 
 
-def _cells(path: Path) -> tuple[list[str], list[list[str]], I64]:
+def _cells(path: Path, only: str) -> tuple[list[str], list[list[str]], I64]:
     """The header, the rows and their lines."""
     opener = gzip.open if path.name.endswith(".gz") else open
     rows, lines = [], []
@@ -110,11 +106,14 @@ def _cells(path: Path) -> tuple[list[str], list[list[str]], I64]:
             if missing:
                 hint = f"The first line must name the columns {','.join(COLUMNS)}"
                 raise ScenarioError(f"missing columns {', '.join(missing)}", path=path, line=1, hint=hint)
+            rec = names.index("rec")
             for values in reader:
                 if not values:
                     continue
                 if len(values) != len(names):
                     raise ScenarioError(f"{len(values)} values, expected {len(names)}", path=path, line=reader.line_num)
+                if only and values[rec] != only:
+                    continue
                 rows.append(values)
                 lines.append(reader.line_num)
     except (OSError, EOFError, UnicodeDecodeError, csv.Error, zlib.error) as e:
@@ -128,17 +127,26 @@ def _numbers(path: Path, lines: I64, rows: list[list[str]], column: dict[str, in
     if k is None:
         return np.full(len(rows), np.nan)
     empty = "nan" if name in OPTIONAL else ""
-    values = np.empty(len(rows))
-    for i, row in enumerate(rows):
-        try:
-            values[i] = float(row[k] or empty)
-        except ValueError:
-            raise ScenarioError(f"{name} {row[k]!r} is not a number", path=path, line=int(lines[i])) from None
+    try:
+        values = np.array([row[k] or empty for row in rows]).astype(np.float64)
+    except ValueError:
+        for i, row in enumerate(rows):
+            if not _is_number(row[k] or empty):
+                raise ScenarioError(f"{name} {row[k]!r} is not a number", path=path, line=int(lines[i])) from None
+        raise
     bad = ~np.isfinite(values) | (np.abs(values) > 1e8)
-    for i in np.flatnonzero(bad):
+    for i in np.flatnonzero(bad).tolist():
         if name not in OPTIONAL or rows[i][k].strip():
             raise ScenarioError(f"{name} is {rows[i][k]}", path=path, line=int(lines[i]))
     return values
+
+
+def _is_number(text: str) -> bool:
+    try:
+        np.array([text]).astype(np.float64)
+    except ValueError:
+        return False
+    return True
 
 
 def _check_rows(path: Path, lines: I64, numbers: dict[str, F64]) -> None:
@@ -158,7 +166,8 @@ def _check_rows(path: Path, lines: I64, numbers: dict[str, F64]) -> None:
             raise ScenarioError(f"a {name} of {v[i]:g} m", path=path, line=int(lines[i]))
 
 
-def _check_track(path: Path, who: str, lines: I64, frame: F64, x: F64, y: F64, kinds: list[str]) -> None:
+def _check_track(path: Path, who: str, lines: I64, own: dict[str, F64], kinds: list[str]) -> None:
+    frame = own["frame"]
     step = np.diff(frame)
     for i in np.flatnonzero(step != 1)[:1]:
         line = int(lines[i + 1])
@@ -170,12 +179,12 @@ def _check_track(path: Path, who: str, lines: I64, frame: F64, x: F64, y: F64, k
             line=line,
             hint="Frames of a track must follow each other at 10 Hz; give the part behind a gap another name",
         )
-    jump = np.hypot(np.diff(x), np.diff(y))
+    jump = np.hypot(np.diff(own["x"]), np.diff(own["y"]))
     for i in np.flatnonzero(jump > JUMP_MPS * FRAME_S)[:1]:
         raise ScenarioError(f"{who} jumps {jump[i]:.0f} m", path=path, line=int(lines[i + 1]))
-    for i, kind in enumerate(kinds):
+    for line, kind in zip(lines.tolist(), kinds, strict=True):
         if kind != kinds[0]:
-            raise ScenarioError(f"{who}: {kind!r} was {kinds[0]!r} before", path=path, line=int(lines[i]))
+            raise ScenarioError(f"{who}: {kind!r} was {kinds[0]!r} before", path=path, line=line)
 
 
 # --- choosing ---

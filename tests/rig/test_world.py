@@ -15,13 +15,12 @@ def scenario(*tracks: Track, closures: tuple[Closure, ...] = ()) -> Scenario:
     return Scenario("test", "test", "built-in", 10.0, Map(), route, ego_at(0.0, 0.0, 0.3, 10.0), tracks, closures)
 
 
-def track(
-    x: list[float], heading: list[float] | None = None, frame0: int = 0, first: bool = True, id: int = 7
-) -> Track:
+def track(x: list[float], heading: list[float] | None = None, frame0: int = 0, first: bool = True) -> Track:
     n = len(x)
     return Track(
-        id=7, cls=ObjectClass.CAR, length=4.0, width=2.0, frame0=frame0, x=np.array(x, dtype=float), y=np.arange(n) * 0.5,
-        heading=np.zeros(n) if heading is None else np.array(heading), first_velocity=(1.0, 2.0) if first else None,
+        id=7, cls=ObjectClass.CAR, length=4.0, width=2.0, frame0=frame0, x=np.array(x, dtype=float),
+        y=np.arange(n) * 0.5, heading=np.zeros(n) if heading is None else np.array(heading),
+        first_velocity=(1.0, 2.0) if first else None,
     )  # fmt: skip
 
 
