@@ -26,6 +26,8 @@ HALF_WIDTH = (1.0, 5.0)
 """Bounds of half a lane's width [m]."""
 JOIN_M = 5.0
 """A successor that begins farther than this from the lane's end is not one [m]."""
+LIMIT_LEAST = 0.5
+"""A lower speed limit is taken for none [m/s]."""
 SHAPE_M = 15.0
 """Over how much of its length the shape of a successor is judged [m]."""
 
@@ -65,7 +67,8 @@ class LaneIndex:
         """Arc length of each point from its lane's beginning [m]."""
         self.length = self.s[self.stop - 1] if len(lanes) else np.zeros(0)
         """Length of each lane [m]; 0: a lane that is a point."""
-        self.limit = np.array([lane.speed_limit for lane in lanes], dtype=np.float64)
+        limit = np.array([lane.speed_limit for lane in lanes], dtype=np.float64)
+        self.limit = np.where(limit >= LIMIT_LEAST, limit, 0.0)
         """Speed limit of each lane [m/s]; 0: unknown."""
         ids = {lane.id: i for i, lane in reversed(list(enumerate(lanes)))}
         self.left = [_neighbour(ids, lane.left_neighbour, lane.left_same_direction) for lane in lanes]

@@ -55,7 +55,7 @@ def test_a_car_stays_on_its_lane_through_a_curve_and_across_successors(radius, v
     along = s < centre.length - 5
     assert np.abs(wrap_angle(p.heading[0] - centre.heading(s)))[along].max() < 0.12
     moved = np.hypot(np.diff(p.x[0]), np.diff(p.y[0])) / 0.1
-    np.testing.assert_allclose(moved, (p.speed[0, 1:] + p.speed[0, :-1]) / 2, rtol=0.08, atol=0.05)
+    np.testing.assert_allclose(moved, (p.speed[0, 1:] + p.speed[0, :-1]) / 2, rtol=0.04, atol=0.03)
 
 
 @given(radius=st.floats(10.0, 60.0), v=st.floats(12.0, 25.0))

@@ -87,7 +87,7 @@ def test_whatever_valid_messages_arrive_the_prediction_is_valid(stream, map, pol
 
 @pytest.mark.slow
 @given(**SCENES)
-@settings(max_examples=3000, deadline=None)
+@settings(max_examples=1500, deadline=None)
 def test_whatever_valid_messages_arrive_the_prediction_is_valid_at_length(stream, map, policy):
     run(stream, map, policy)
 
