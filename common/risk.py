@@ -275,8 +275,8 @@ def local_closest(px: npt.ArrayLike, py: npt.ArrayLike, path: F64) -> list[tuple
     Inside a bend two neighbouring segments both hold a closest point. Taking each one's own arc length there would make
     the field jump where one of them ends, by the bend's angle times the distance. So both get the same one: the way on
     a segment, plus what is already covered of the next, minus what is left of the one before. This is continuous in
-    every bend up to half its radius, and a vertex put on a segment changes nothing. Neighbours that turn by more
-    than 60° are not coupled.
+    every bend up to half its radius, and a vertex put on a segment changes nothing as long as the pieces are longer
+    than the bend's angle times the distance. Neighbours that turn by more than 60° are not coupled.
 
     Args:
         px: Points [m], any shape.

@@ -116,43 +116,65 @@ _MATHS = """
     auto max0 = [](float v) { return v > 0.0f ? v : 0.0f; };
 """
 
-# pE with its taper, at a cell (x, y); uses q, the object's row
-_POTENTIAL = """
+# one object's row as plain numbers, so that the loops over cells have nothing to load; both terms at a cell
+_TERMS = """
+    struct Object {
+        float x, y, c, s, half_length, half_width, A, A_e, radius, M2, inverse_L, reach, sign, s0, half, inverse_l;
+        float width, inverse_w2, low, high;
+        int first, last;
+    };
+    auto read = [&](const float* q) {
+        Object o;
+        o.x = q[0]; o.y = q[1]; o.c = q[2]; o.s = q[3]; o.half_length = q[4]; o.half_width = q[5];
+        o.A = q[6]; o.A_e = q[6] / p.e_max; o.radius = q[7]; o.M2 = q[8]; o.inverse_L = q[9]; o.reach = q[10];
+        o.sign = q[11]; o.s0 = q[12]; o.half = 0.5f * q[13]; o.inverse_l = 1.0f / q[13];
+        o.width = q[14]; o.inverse_w2 = 1.0f / (q[14] * q[14]);
+        o.low = q[15]; o.high = q[16]; o.first = (int)q[17]; o.last = (int)q[18];
+        return o;
+    };
     const float taper_z = 1.0f / (p.taper_radius * (1.0f - p.taper_start));
     const float taper_0 = p.taper_start / (1.0f - p.taper_start);
-    auto potential = [&](const float* q, float dx, float dy) {
-        float lx = q[2] * dx + q[3] * dy, ly = q[2] * dy - q[3] * dx;
-        lx = max0((lx < 0.0f ? -lx : lx) - q[4]); ly = max0((ly < 0.0f ? -ly : ly) - q[5]);
-        const float d2 = lx * lx + ly * ly, d = sq(d2);
-        const float power = square ? d2 : (linear ? d : powf(d, p.k1));
-        float z = max0(d * taper_z - taper_0); z = z > 1.0f ? 1.0f : z;
-        return q[6] * (1.0f - z * z * (3.0f - 2.0f * z)) / (power + q[6] / p.e_max);
+    const float E_k = p.E_k, d0 = p.d0, inverse_e = 1.0f / p.e_max, k1 = p.k1, e_max = p.e_max, horizon = p.t;
+    auto tapered = [=](const Object& o, float power, float d) {
+        float z = d * taper_z - taper_0; z = z > 0.0f ? z : 0.0f; z = z < 1.0f ? z : 1.0f;
+        return o.A * (1.0f - z * z * (3.0f - 2.0f * z)) / (power + o.A_e);
     };
-    auto kinetic = [&](const float* q, const float* g, float rx, float ry) {
-        const float al = rx * g[2] + ry * g[3], pe = ry * g[2] - rx * g[3];
-        const float below = al < g[5] ? al - g[5] : 0.0f;
-        const float covered = rx * g[7] + ry * g[8];
-        const bool counts = al <= g[6] && (al >= g[5] || covered > 0.0f);
-        float back = max0(-covered), on = max0(rx * g[11] + ry * g[12] - g[13]);
-        back = back < g[10] ? back : g[10]; on = on < g[14] ? on : g[14];
-        const float s = g[4] + al - below + on - back - q[12], d2 = pe * pe + below * below;
-        const float lateral = max0(1.0f - d2 / (q[14] * q[14]));
-        float e;
-        if (p.paper) {
-            const float root = sq(lateral), ahead = q[11] * s;
-            const float D_w = ahead / (root > 1.0e-6f ? root : 1.0e-6f), rest = q[10] - D_w;
-            const bool defined = ahead > 0.0f && rest > 0.0f && root > 1.0e-6f;
-            const float product = D_w * rest;
-            e = p.t / (defined && product > 1.0e-9f ? product : 1.0e-9f);
-            e = defined ? (e < p.e_max ? e : p.e_max) : 0.0f;
-        } else {
-            const float xi = q[11] * s - 0.5f * q[13];
-            float b = 1.0f + (xi < 0.0f ? xi : 0.0f) / q[13]; b = max0(b);
-            const float K = q[8] * max0(sq(lateral) / (max0(xi) + p.d0) - q[9]);
-            const float v = p.E_k * ln1p(K);
-            e = b * lateral * v / (1.0f + v / p.e_max);
-        }
-        return counts ? e : 0.0f;
+    auto distance2 = [=](const Object& o, float dx, float dy) {
+        const float al = o.c * dx + o.s * dy, be = o.c * dy - o.s * dx;
+        const float lx = max0((al < 0.0f ? -al : al) - o.half_length), ly = max0((be < 0.0f ? -be : be) - o.half_width);
+        return lx * lx + ly * ly;
+    };
+    auto potential = [=](const Object& o, float dx, float dy) {
+        const float d2 = distance2(o, dx, dy), d = sq(d2);
+        return tapered(o, square ? d2 : (linear ? d : powf(d, k1)), d);
+    };
+    struct Segment {
+        float x, y, tx, ty, s, low, high, bx, by, turn, before_most, nx, ny, n0, next_most;
+    };
+    auto place = [=](const Object& o, const Segment& g, float rx, float ry, float& s, float& d2) {
+        const float al = rx * g.tx + ry * g.ty, pe = ry * g.tx - rx * g.ty;
+        const float below = al < g.low ? al - g.low : 0.0f, covered = rx * g.bx + ry * g.by;
+        float back = max0(-covered), on = max0(rx * g.nx + ry * g.ny - g.n0);
+        back = back < g.before_most ? back : g.before_most; on = on < g.next_most ? on : g.next_most;
+        s = g.s + al - below + on - back - o.s0;
+        d2 = pe * pe + below * below;
+        const float counts = al <= g.high ? 1.0f : 0.0f, met = covered > 0.0f ? 1.0f : 0.0f;
+        return counts * (below < 0.0f ? met : 1.0f);
+    };
+    auto sound = [=](const Object& o, const Segment& g, float rx, float ry) {
+        float s, d2;
+        const float counts = place(o, g, rx, ry, s, d2), lateral = max0(1.0f - d2 * o.inverse_w2);
+        const float xi = o.sign * s - o.half, b = max0(1.0f + (xi < 0.0f ? xi : 0.0f) * o.inverse_l);
+        const float K = o.M2 * max0(sq(lateral) / (max0(xi) + d0) - o.inverse_L), v = E_k * ln1p(K);
+        return counts * b * lateral * v / (1.0f + v * inverse_e);
+    };
+    auto printed = [=](const Object& o, const Segment& g, float rx, float ry) {
+        float s, d2;
+        const float counts = place(o, g, rx, ry, s, d2), root = sq(max0(1.0f - d2 * o.inverse_w2));
+        const float ahead = o.sign * s, D_w = ahead / (root > 1.0e-6f ? root : 1.0e-6f), rest = o.reach - D_w;
+        if (!(counts > 0.0f && ahead > 0.0f && rest > 0.0f && root > 1.0e-6f)) return 0.0f;
+        const float e = horizon / (D_w * rest > 1.0e-9f ? D_w * rest : 1.0e-9f);
+        return e < e_max ? e : e_max;
     };
 """
 
@@ -164,6 +186,7 @@ _FIELD = (
     const int MOST = 256;
 #endif
     const int NO = 19, NS = 15;
+    const float h = p.h;
     const bool square = p.k1 == 2.0f, linear = p.k1 == 1.0f;
     const int runs = (p.columns + p.run - 1) / p.run, blocks = p.rows / 4;
     const int slice = task / (blocks * runs), block = (task / runs) % blocks;
@@ -173,7 +196,7 @@ _FIELD = (
 """
     + _WINDOW
     + _MATHS
-    + _POTENTIAL
+    + _TERMS
     + """
     for (int r = 0; r < 4; ++r) {
         const int row = 4 * block + r;
@@ -181,37 +204,52 @@ _FIELD = (
         float* sum = acc + r * MOST;
         const float* still = p.static_sum.data + (long long)row * p.columns + c0;
         for (int j = 0; j < cells; ++j) sum[j] = still[j];
-        for (int o = 0; o < p.objects_count; ++o) {
-            const float* q = objects + o * NO;
-            const float dx = x - q[0], ddx = q[7] * q[7] - dx * dx;
+        for (int n = 0; n < p.objects_count; ++n) {
+            const Object o = read(objects + n * NO);
+            const float dx = x - o.x, ddx = o.radius * o.radius - dx * dx;
             int j0, j1;
             if (ddx > 0.0f) {
                 const float half = sq(ddx);
-                clip(q[1] - half, q[1] + half, c0, c1, j0, j1);
-                for (int j = j0; j < j1; ++j) sum[j - c0] += potential(q, dx, (j + 0.5f) * p.h - q[1]);
+                clip(o.y - half, o.y + half, c0, c1, j0, j1);
+                if (square) {
+                    for (int j = j0; j < j1; ++j) {
+                        const float d2 = distance2(o, dx, (j + 0.5f) * h - o.y);
+                        sum[j - c0] += tapered(o, d2, sq(d2));
+                    }
+                } else {
+                    for (int j = j0; j < j1; ++j) sum[j - c0] += potential(o, dx, (j + 0.5f) * h - o.y);
+                }
             }
-            if (x < q[15] || x > q[16]) continue;
-            const float* path = p.segments.data + (long long)o * p.segments_stride * NS;
-            const int k0 = (int)q[17], k1 = (int)q[18];
-            const float s_low = q[12] + (q[11] > 0.0f ? -0.5f * q[13] : -0.5f * q[13] - q[10]);
-            const float s_high = q[12] + (q[11] > 0.0f ? 0.5f * q[13] + q[10] : 0.5f * q[13]);
+            if (x < o.low || x > o.high) continue;
+            const Segment* path = (const Segment*)(p.segments.data + (long long)n * p.segments_stride * NS);
+            const float s_low = o.s0 - o.half - (o.sign > 0.0f ? 0.0f : o.reach);
+            const float s_high = o.s0 + o.half + (o.sign > 0.0f ? o.reach : 0.0f);
             int low = c1, high = c0;
-            for (int k = k0; k <= k1; ++k) {
-                const float* g = path + k * NS;
-                const float rx = x - g[0];
-                float a0 = s_low - g[4], a1 = s_high - g[4], y0, y1;
-                a0 = (a0 > g[5] ? a0 : g[5]) - q[14] * g[9]; a1 = a1 < g[6] ? a1 : g[6];
-                window(rx, g[2], g[3], a0 - 0.01f, a1 + 0.01f, -q[14], q[14], y0, y1);
+            for (int k = o.first; k <= o.last; ++k) {
+                const Segment g = path[k];
+                const float rx = x - g.x;
+                float a0 = s_low - g.s, a1 = s_high - g.s, y0, y1;
+                // inside a bend the shared arc length lies up to its neighbours' turn off the segment's own
+                a0 = (a0 - o.width > g.low ? a0 - o.width : g.low) - o.width * g.turn;
+                a1 = a1 + o.width < g.high ? a1 + o.width : g.high;
+                window(rx, g.tx, g.ty, a0 - 0.01f, a1 + 0.01f, -o.width, o.width, y0, y1);
                 if (y0 >= y1) continue;
-                clip(g[1] + y0, g[1] + y1, c0, c1, j0, j1);
+                clip(g.y + y0, g.y + y1, c0, c1, j0, j1);
                 if (j0 >= j1) continue;
                 if (low >= high) { low = j0; high = j1; for (int j = j0; j < j1; ++j) kin[j - c0] = 0.0f; }
                 for (int j = j0; j < low; ++j) kin[j - c0] = 0.0f;
                 for (int j = high; j < j1; ++j) kin[j - c0] = 0.0f;
                 low = j0 < low ? j0 : low; high = j1 > high ? j1 : high;
-                for (int j = j0; j < j1; ++j) {
-                    const float e = kinetic(q, g, rx, (j + 0.5f) * p.h - g[1]);
-                    kin[j - c0] = e > kin[j - c0] ? e : kin[j - c0];
+                if (p.paper) {
+                    for (int j = j0; j < j1; ++j) {
+                        const float e = printed(o, g, rx, (j + 0.5f) * h - g.y);
+                        kin[j - c0] = e > kin[j - c0] ? e : kin[j - c0];
+                    }
+                } else {
+                    for (int j = j0; j < j1; ++j) {
+                        const float e = sound(o, g, rx, (j + 0.5f) * h - g.y);
+                        kin[j - c0] = e > kin[j - c0] ? e : kin[j - c0];
+                    }
                 }
             }
             for (int j = low; j < high; ++j) sum[j - c0] += kin[j - c0];
@@ -245,39 +283,37 @@ _FIELD = (
         id[b] = best[b] > 0.0f ? 2 * p.objects_count + p.static_line.data[at] : -1;
     }
     const float x_mid = (4 * block + 2) * p.h;
-    for (int o = 0; o < p.objects_count; ++o) {
-        const float* q = objects + o * NO;
-        float dx = x_mid - q[0]; dx = max0((dx < 0.0f ? -dx : dx) - 2.0f * p.h);
-        const float ddx = q[7] * q[7] - dx * dx;
+    for (int n = 0; n < p.objects_count; ++n) {
+        const Object o = read(objects + n * NO);
+        float dx = x_mid - o.x; dx = max0((dx < 0.0f ? -dx : dx) - 2.0f * h);
+        const float ddx = o.radius * o.radius - dx * dx;
+        int j0, j1;
         if (ddx > 0.0f) {
             const float half = sq(ddx);
-            int j0, j1; clip(q[1] - half, q[1] + half, c0, c1, j0, j1);
+            clip(o.y - half, o.y + half, c0, c1, j0, j1);
             const int b0 = (j0 - c0) / 4, b1 = (j1 - c0 + 3) / 4;
             for (int b = b0; b < b1; ++b) {
-                const float e = potential(q, bx[b] - q[0], by[b] - q[1]);
-                id[b] = e > best[b] ? 2 * o : id[b]; best[b] = e > best[b] ? e : best[b];
+                const float e = potential(o, bx[b] - o.x, by[b] - o.y);
+                id[b] = e > best[b] ? 2 * n : id[b]; best[b] = e > best[b] ? e : best[b];
             }
         }
-        if (x_mid + 2.0f * p.h < q[15] || x_mid - 2.0f * p.h > q[16]) continue;
-        const float* path = p.segments.data + (long long)o * p.segments_stride * NS;
-        const int k0 = (int)q[17], k1 = (int)q[18];
-        for (int k = k0; k <= k1; ++k) {
-            const float* g = path + k * NS;
+        if (x_mid + 2.0f * h < o.low || x_mid - 2.0f * h > o.high) continue;
+        const Segment* path = (const Segment*)(p.segments.data + (long long)n * p.segments_stride * NS);
+        for (int k = o.first; k <= o.last; ++k) {
+            const Segment g = path[k];
             // the blocks a segment may reach: its own extent, widened by the strip
-            float a0 = g[5] - q[14] * g[9], a1 = g[6];
-            const float s_low = q[12] - 0.5f * q[13] - q[10] - g[4], s_high = q[12] + 0.5f * q[13] + q[10] - g[4];
+            float a0 = g.low - o.width * g.turn, a1 = g.high;
+            const float span = o.half + o.reach + o.width, s_low = o.s0 - span - g.s, s_high = o.s0 + span - g.s;
             a0 = a0 > s_low ? a0 : s_low; a1 = a1 < s_high ? a1 : s_high;
-            const float ends[4] = {g[0] + a0 * g[2], g[0] + a1 * g[2], g[1] + a0 * g[3], g[1] + a1 * g[3]};
-            const float xl = (ends[0] < ends[1] ? ends[0] : ends[1]) - q[14];
-            const float xh = (ends[0] < ends[1] ? ends[1] : ends[0]) + q[14];
-            if (xh < x_mid - 2.0f * p.h || xl > x_mid + 2.0f * p.h) continue;
-            const float yl = (ends[2] < ends[3] ? ends[2] : ends[3]) - q[14];
-            const float yh = (ends[2] < ends[3] ? ends[3] : ends[2]) + q[14];
-            int j0, j1; clip(yl, yh, c0, c1, j0, j1);
+            const float xa = g.x + a0 * g.tx, xb = g.x + a1 * g.tx, ya = g.y + a0 * g.ty, yb = g.y + a1 * g.ty;
+            if ((xa < xb ? xb : xa) + o.width < x_mid - 2.0f * h) continue;
+            if ((xa < xb ? xa : xb) - o.width > x_mid + 2.0f * h) continue;
+            clip((ya < yb ? ya : yb) - o.width, (ya < yb ? yb : ya) + o.width, c0, c1, j0, j1);
             const int b0 = (j0 - c0) / 4, b1 = (j1 - c0 + 3) / 4;
             for (int b = b0; b < b1; ++b) {
-                const float e = kinetic(q, g, bx[b] - g[0], by[b] - g[1]);
-                id[b] = e > best[b] ? 2 * o + 1 : id[b]; best[b] = e > best[b] ? e : best[b];
+                const float rx = bx[b] - g.x, ry = by[b] - g.y;
+                const float e = p.paper ? printed(o, g, rx, ry) : sound(o, g, rx, ry);
+                id[b] = e > best[b] ? 2 * n + 1 : id[b]; best[b] = e > best[b] ? e : best[b];
             }
         }
     }

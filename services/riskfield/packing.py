@@ -43,8 +43,9 @@ def pack_objects(sources: DynamicSources, counts: Bools, grid: Grid, p: RiskPara
 
     reach = np.abs(sources.u) * p.t
     ahead = sources.u > 0.0
-    s_low = sources.s0 - half[..., 0] - np.where(ahead, 0.0, reach)
-    s_high = sources.s0 + half[..., 0] + np.where(ahead, reach, 0.0)
+    # inside a bend the arc length that neighbouring segments share lies less than one width off a segment's own
+    s_low = sources.s0 - half[..., 0] - sources.width - np.where(ahead, 0.0, reach)
+    s_high = sources.s0 + half[..., 0] + sources.width + np.where(ahead, reach, 0.0)
     inner = np.arange(lines.s.shape[1])[None] <= (lines.count - 2)[:, None]
     inner[:, 0] = False
     below = inner[None] & (lines.s[None] < s_low[..., None])

@@ -1,3 +1,4 @@
+# ruff: noqa: C408
 """Scenes for the riskfield's tests: predictions, egos and maps, random or fixed."""
 
 from __future__ import annotations
@@ -131,7 +132,8 @@ def random_scene(rng: np.random.Generator, *, origin=(0.0, 0.0)):
         x, y = place(rng.uniform(-30, 40), rng.uniform(-20, 20))
         rows.append(
             dict(
-                x=x, y=y, heading=rng.uniform(-np.pi, np.pi), cls=rng.integers(0, 7), mass=rng.choice([0.0, 2000.0]),
+                x=x, y=y, heading=rng.uniform(-np.pi, np.pi), cls=rng.integers(0, 7),
+                mass=rng.choice([0.0, rng.uniform(50, 120)]),
                 speed=rng.choice([0.0, 0.2, rng.uniform(0, 4), rng.uniform(0, 25)]),
                 rate=rng.choice([0.0, rng.uniform(-0.5, 0.5)]), acceleration=rng.uniform(-4, 2),
             )

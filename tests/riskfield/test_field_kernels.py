@@ -1,0 +1,162 @@
+# ruff: noqa: C408
+"""The kernels against the NumPy reference on random small scenes: value, rounding, and the source named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from common.messages import BLOCK, NO_SLOT, Closures
+from common.risk import RiskParameters
+from common.risk_sources import dynamic_sources, shares_at_points
+from services.riskfield import kernels
+from services.riskfield.core import RiskField
+from services.riskfield.grid import cell_centres
+from services.riskfield.selection import left_out
+from services.riskfield.settings import RiskfieldSettings
+from services.riskfield.static_layer import StaticLayer
+from tests.riskfield.scenes import random_scene, stamped
+
+SMALL = dict(ahead=24.0, ahead_most=24.0, behind=16.0, width=20.0, h=0.5, slices=3, slice_s=0.9)
+
+
+@pytest.fixture(scope="module")
+def risk():
+    return RiskParameters()
+
+
+@pytest.fixture(scope="module")
+def field(risk):
+    return RiskField(RiskfieldSettings(dtype="float32", **SMALL), risk, "cpu")
+
+
+def reference(scene, r, closures, t_offset, p):
+    """Every source's share at every cell: {(id, term, line index or None): [slice, i, j]}."""
+    prediction, ego, road = scene
+    sources = dynamic_sources(prediction, np.array(r.slice_times) + t_offset, (ego.vx, ego.vy), p)
+    counts, _ = left_out(sources, ego)
+    lines = StaticLayer(road, p).within(r.grid, closures.ids, ego)
+    X, Y = cell_centres(r.grid)
+    shares = [shares_at_points(X, Y, sources, j, lines, p) for j in range(len(r.slice_times))]
+    found = {}
+    for i in np.flatnonzero(counts):
+        found[int(sources.id[i]), "potential", None] = np.stack([s.potential[i] for s in shares])
+        found[int(sources.id[i]), "kinetic", None] = np.stack([s.kinetic[i] for s in shares])
+    for k, line in enumerate(lines):
+        found[line.id, "static", k] = np.stack([s.static[k] for s in shares])
+    return found or {(0, "none", None): np.zeros(r.volume.shape)}
+
+
+def scene_of(seed):
+    rng = np.random.default_rng(seed)
+    scene = random_scene(rng, origin=(0.0, 0.0) if seed % 2 else (6.9e5, 5.3e6))
+    return scene, Closures(ids=[[9], [7], []][seed % 3]), float(rng.choice([0.0, 0.23, 0.5]))
+
+
+def check_exact(field, p, seeds):
+    for seed in seeds:
+        scene, closures, t_offset = scene_of(seed)
+        r = field.step(stamped(scene[0]), stamped(scene[1]), scene[2], closures, t_offset)
+        assert r.problem() == ""
+        shares = reference(scene, r, closures, t_offset, p)
+        ref = np.sum(list(shares.values()), axis=0)
+        error = np.abs(r.volume - ref) / (p.e_max + np.abs(ref))
+        assert error.max() <= 1e-4, f"seed {seed}: {error.max()} at {np.unravel_index(error.argmax(), error.shape)}"
+        check_dominant(r, shares, ref, seed)
+
+
+def check_dominant(r, shares, ref, seed):
+    """Where a block names a source, it has the largest share at the block's highest cell, up to rounding."""
+    blocks = [(j, bi, bj) for j in range(ref.shape[0]) for bi in range(0, 20, 3) for bj in range(10)]
+    by_name = {}
+    for (id, term, _), share in shares.items():
+        by_name.setdefault((id, term), []).append(share)
+    for j, bi, bj in blocks:
+        cells = np.s_[j, BLOCK * bi : BLOCK * bi + BLOCK, BLOCK * bj : BLOCK * bj + BLOCK]
+        near_top = ref[cells] >= ref[cells].max() - 1e-4
+        largest = np.max([s[cells] for s in shares.values()], axis=0)
+        slot = r.dominant[j, bi, bj]
+        if slot == NO_SLOT:
+            assert largest[near_top].min() <= 1e-6, f"seed {seed}: block {j, bi, bj} names nothing"
+            continue
+        named = by_name[r.slots[slot].id, r.slots[slot].term]
+        best = np.max([s[cells] for s in named], axis=0)
+        assert np.any(best[near_top] >= largest[near_top] - 1e-4), f"seed {seed}: block {j, bi, bj}: {r.slots[slot]}"
+
+
+def test_kernels_equal_the_reference_on_random_scenes(field, risk):
+    check_exact(field, risk, range(200))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_kernels_equal_the_reference_on_ten_thousand_random_scenes(field, risk):
+    check_exact(field, risk, range(200, 10200))
+
+
+@pytest.mark.parametrize("k1", [1.0, 3.0])
+def test_kernels_equal_the_reference_for_other_powers_of_the_distance(k1):
+    p = RiskParameters(k1=k1, k=5e-4, taper_radius=15.0, t=2.0, d0=0.5, E_k=0.7, e_max=2.0)
+    check_exact(RiskField(RiskfieldSettings(dtype="float32", **SMALL), p, "cpu"), p, range(8))
+
+
+def test_float16_is_the_float32_volume_rounded(field, risk):
+    half = RiskField(RiskfieldSettings(dtype="float16", **SMALL), risk, "cpu")
+    for seed in range(12):
+        scene, closures, t_offset = scene_of(seed)
+        args = stamped(scene[0]), stamped(scene[1]), scene[2], closures, t_offset
+        a, b = field.step(*args), half.step(*args)
+        assert b.volume.dtype == np.float16
+        expected = a.volume.astype(np.float16)
+        # below 2⁻¹⁴ float16 has a fixed step, which flushed denormals may miss
+        assert np.all((b.volume == expected) | (np.abs(b.volume.astype(np.float32) - a.volume) < 6.2e-5))
+        assert np.array_equal(a.dominant, b.dominant)
+
+
+def test_threads_share_the_slices_and_change_nothing(field, risk):
+    two = RiskField(RiskfieldSettings(dtype="float32", threads=2, **SMALL), risk, "cpu")
+    scene, closures, t_offset = scene_of(5)
+    args = stamped(scene[0]), stamped(scene[1]), scene[2], closures, t_offset
+    assert np.array_equal(two.step(*args).volume, field.step(*args).volume)
+
+
+def test_a_frame_leaves_the_earlier_messages_alone(field):
+    (p, e, m), closures, _ = scene_of(3)
+    first = field.step(stamped(p), stamped(e), m, closures)
+    kept = first.volume.copy(), first.dominant.copy()
+    (p, e, m), closures, _ = scene_of(4)
+    field.step(stamped(p), stamped(e), m, closures)
+    assert np.array_equal(first.volume, kept[0])
+    assert np.array_equal(first.dominant, kept[1])
+
+
+def test_wide_grids_are_computed_in_several_runs(risk):
+    wide = RiskfieldSettings(ahead=10, ahead_most=10, behind=10, width=80, h=0.25, slices=2, dtype="float32")
+    assert wide.width / wide.h > kernels.CPU_RUN
+    narrow = RiskField(wide, risk, "cpu")
+    scene, closures, t_offset = scene_of(11)
+    r = narrow.step(stamped(scene[0]), stamped(scene[1]), scene[2], closures, t_offset)
+    ref = np.sum(list(reference(scene, r, closures, t_offset, risk).values()), axis=0)
+    assert np.abs(r.volume - ref).max() <= 1e-4 * (1 + ref.max())
+
+
+def test_the_printed_kinetic_term_is_computed_too():
+    """Compared away from its poles and its edges, where it has no continuity to compare."""
+    p = RiskParameters(kinetic="paper")
+    field = RiskField(RiskfieldSettings(dtype="float32", **SMALL), p, "cpu")
+    for seed in range(8):
+        scene, closures, t_offset = scene_of(seed)
+        r = field.step(stamped(scene[0]), stamped(scene[1]), scene[2], closures, t_offset)
+        ref = np.sum(list(reference(scene, r, closures, t_offset, p).values()), axis=0)
+        assert np.all(np.isfinite(r.volume))
+        assert np.mean(np.abs(r.volume - ref) > 1e-4 * (1 + ref)) < 1e-3
+
+
+@pytest.mark.slow
+def test_the_kernels_compile_for_cuda_without_a_gpu(tmp_path):
+    import warp as wp
+
+    wp.init()
+    made = wp.compile_aot_module(kernels.field_kernel.module, arch=[75, 90], module_dir=tmp_path)
+    assert len([f for f in made if f.suffix in (".ptx", ".cubin")]) >= 2
+    assert all(f.stat().st_size > 1000 for f in made)
