@@ -85,6 +85,8 @@ def frenet_start(reference: ReferenceLine, start: Start, near: float | None) -> 
     q = max(1.0 - k * d, 0.2)
     slope = q * np.tan(turn)
     bend = q / np.cos(turn) ** 2 * (start.curvature * q / np.cos(turn) - k) - (rate * d + k * slope) * np.tan(turn)
+    if start.speed < 0.1:  # standing, it may steer before it starts
+        bend = 0.0
     return s, d, float(slope), float(np.clip(bend, -1.0, 1.0))
 
 

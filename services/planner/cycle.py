@@ -74,13 +74,14 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     previous = scene.memory.target_name if scene.memory is not None else ""
     look = _sample(scene, settings)
     start, paths = scene.start, look.paths
-    field = Field.of(look.risk, scene.volume, look.cap, look.s_max, paths.step, settings)
+    field = Field.of(look.risk, scene.volume, look.cap, paths.end, look.s_max, paths.step, settings)
     cost = path_cost(paths, scene.road.lanes, look.footprint.half_width, previous, settings)
     verdict = search(field, start, settings, -cost)
 
-    # what the curve allows within 3 s counts as much as what risk allows
+    # what curves allow within 3 s counts as much as what risk allows; but nobody cuts corners to be faster in them
     near = paths.stations[None] <= 3.0 * np.maximum(verdict.desired, start.speed)[:, None] + 1.0
-    curve = np.where(near & (look.cap.cause == CAUSES.index("curve")), look.cap.speed, np.inf).min(axis=1)
+    curve = np.where(near & (look.cap.cause != CAUSES.index("limit")), look.cap.speed, np.inf).min(axis=1)
+    curve = np.minimum(curve, curve[0])
     off = lane_centre_distance(paths, scene.road.lanes, verdict.rest)
     stops = (verdict.hold <= settings.hold_s) & (off > 0.7)
     score = np.minimum(verdict.desired, curve) - settings.tier_cost * verdict.tier - cost
@@ -265,6 +266,8 @@ def _decide(
     if failure == 0 or not slow:
         return _decide_cap(look, chosen, target, speed)
     kind = FAILURES[failure]
+    if kind == "tight":
+        return explain_cap(target, speed, "curve", distance)
     j = int(volume.slice_at(at * DT))
     i = min(int(distance / paths.step), field.points - 1)
     if kind == "law":

@@ -7,7 +7,8 @@ Checks, each with the name under which a failure is reported:
 - `contact`: short of s_hit (by 0.8 m while moving), and once stopped the place stays free;
 - `law`: up to the hold the target is within the speed law of the risk met; later v ≤ max(law, what braking leaves);
 - `stop`: after 2 s the stop speed holds, unless the ego falls back from what is ahead;
-- `stays`: the same against what may stay put.
+- `stays`: the same against what may stay put;
+- `tight`: the path is left before its curve is too tight to drive.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ Bools = npt.NDArray[np.bool_]
 
 DT = 0.1
 """Step of a rollout [s]."""
-FAILURES = ("", "contact", "law", "stop", "stays")
+FAILURES = ("", "contact", "law", "stop", "stays", "tight")
 _CLEAR = 0.8  # m; short of a contact while moving
 _SOFT_AFTER = 2.0  # s
 
@@ -64,11 +65,14 @@ class Field:
     stays: F64  # s_hit − gap of what may stay put [n · p] [m]
     law: F64  # speed law [n · S · p] [m/s]
     cap_squared: F64  # [n · p]
+    end: F64  # length that can be steered; FAR if all of it [n] [m]
     s_max: F64  # highest wanted speed at the start of each path [n] [m/s]
     gap: float  # [m]
 
     @staticmethod
-    def of(risk: PathRisk, volume: Volume, cap: Cap, s_max: F64, step: float, settings: PlannerSettings) -> Field:
+    def of(
+        risk: PathRisk, volume: Volume, cap: Cap, end: F64, s_max: F64, step: float, settings: PlannerSettings
+    ) -> Field:
         """Slice j reads max(M_j, M_j+1): the ego may be early or late in it."""
         r = risk.risk
         if r.shape[1] > 1:
@@ -93,6 +97,7 @@ class Field:
             np.where(stays < FAR, stays - settings.gap, FAR).ravel(),
             law.ravel(),
             (cap.speed**2).ravel(),
+            np.where(end < step * (r.shape[2] - 1), end, FAR),
             s_max,
             settings.gap,
         )
@@ -211,6 +216,7 @@ def _check(
         put = need > field.stays.take((path * field.points)[None] + cell[late])
         soft = np.where(fast, 3, np.where(put, 4, 0)) * moving[late]
         bad[late] = np.where(bad[late] == 0, soft, bad[late])
+    bad = np.where((bad == 0) & (s > field.end[path]) & moving, 5, bad)
     any_bad = bad > 0
     failed = any_bad.any(axis=0)
     first = np.where(failed, any_bad.argmax(axis=0), n - 1)

@@ -27,8 +27,8 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     stations: Annotated[int, Meta(ge=20, le=400)] = 72  # points of each path
     step_min: Positive = 0.75  # shortest distance between them [m]
     step_max: Positive = 2.2  # longest [m]
-    max_curvature: Positive = 0.21  # of the rear axle's path [1/m]
-    max_curvature_rate: Positive = 0.35  # [1/(m s)]
+    max_curvature: Positive = 0.24  # of the rear axle's path [1/m]
+    max_curvature_rate: Positive = 0.30  # [1/(m s)]
     footprint_spacing: Positive = 0.9  # largest distance between samples of the footprint's outline [m]
 
     # what risk means

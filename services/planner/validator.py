@@ -66,7 +66,7 @@ def _motion_problem(part: Trajectory, ego: Ego, settings: PlannerSettings) -> st
     if not np.all(part.speed >= 0.0):
         return "speed below 0"
     for value, limit, what in (
-        (np.abs(part.curvature), 1.02 * settings.max_curvature, "curvature {:.3f} 1/m"),
+        (np.abs(part.curvature), 1.1 * settings.max_curvature, "curvature {:.3f} 1/m"),
         (part.acceleration, settings.max_accel, "acceleration {:.2f} m/s²"),
         (-part.acceleration, settings.max_brake, "braking {:.2f} m/s²"),
         (part.speed**2 * np.abs(part.curvature), settings.max_lateral_accel, "lateral acceleration {:.2f} m/s²"),
