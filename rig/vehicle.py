@@ -27,7 +27,7 @@ from common.geometry import wrap_angle
 from common.messages import F64, Ego, Plan, Stamped
 from rig.settings import RigSettings
 
-STANDING = 0.05  # m/s; below it and wanted to stand, the brake holds
+STANDING = 0.05  # m/s, m/s²; slower than this and asked for no more, the brake holds
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class SimulatedVehicle:
         tau = (now_ns - self.plan.capture_ns) * 1e-9
         s_wanted, v_wanted, a_wanted = self._wanted.at(tau)
         s, e, psi, kappa = self._wanted.nearest(self.x, self.y)
-        if v_wanted <= 0.0 and a_wanted <= 0.0 and self.speed < STANDING:
+        if v_wanted < STANDING and a_wanted <= STANDING and self.speed < STANDING:
             return (-k.hold_deceleration if self.speed > 0.0 else 0.0), held
         length = max(k.tracking_length_m, k.tracking_length_s * self.speed)
         epsilon = float(wrap_angle(self.heading - psi))

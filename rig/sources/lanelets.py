@@ -206,4 +206,4 @@ def _crosses(p: F64, q: F64, a: F64, b: F64) -> Any:
     def side(u: F64, v: F64, w: F64) -> Any:
         return (v[..., 0] - u[..., 0]) * (w[..., 1] - u[..., 1]) - (v[..., 1] - u[..., 1]) * (w[..., 0] - u[..., 0])
 
-    return (side(a, b, p) * side(a, b, q) < 0) & (side(p, q, a) * side(p, q, b) < 0)
+    return ((side(a, b, p) <= 0) != (side(a, b, q) <= 0)) & (side(p, q, a) * side(p, q, b) < 0)
