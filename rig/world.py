@@ -6,7 +6,7 @@ differences, (p(t) − p(t − 0.1 s)) / 0.1 s: what a perception could know at 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -151,10 +151,6 @@ class Scenario:
         e = self.ego0
         t = min(t, 0.0)
         return msgspec.structs.replace(e, x=e.x + e.vx * t, y=e.y + e.vy * t)
-
-    def with_warnings(self, *more: str) -> Scenario:
-        """The same with further warnings."""
-        return replace(self, warnings=(*self.warnings, *more))
 
 
 def _turn(a: float, b: float, w: float) -> float:

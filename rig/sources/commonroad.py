@@ -19,11 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from common.geometry import Polyline, distance_between_rectangles, rectangle_corners, wrap_angle
+from common.geometry import Polyline, distance_between_rectangles, rectangle_corners
 from common.messages import F64, FRAME_S, Ego, Goal, Map, ObjectClass, Route
 from rig.settings import RigSettings
 from rig.sources import lanelets, routing
 from rig.sources.motion import heading_from_motion, on_frames
+from rig.sources.start import without_ego
 from rig.world import SIZES, Closure, Scenario, ScenarioError, Track, ego_at
 
 CLASSES = {
@@ -76,7 +77,7 @@ def _scenario(path: Path, file: Any, problems: Any, settings: RigSettings, warni
     if abs(dt - FRAME_S) > 1e-9:
         warnings.append(f"time step {dt} s, resampled to {FRAME_S} s")
     tracks = _tracks(file, dt, step0, warnings)
-    tracks, human = _without_ego(tracks, ego0, warnings)
+    tracks, human = without_ego(tracks, ego0, warnings)
     goal_end = max(_last_step(s.time_step) for s in problem.goal.state_list) - step0
     last = max((k.last for k in tracks if len(k.x) > 1), default=round(goal_end * dt / FRAME_S))
     tracks = [_to_the_end(k, last) for k in tracks]
@@ -299,29 +300,6 @@ def _sane(length: float, width: float, forward: float) -> tuple[float, float, fl
     if not (0.05 <= length <= 100.0 and 0.05 <= width <= 100.0):
         raise ValueError(f"a size of {length:g} × {width:g} m")
     return length, width, forward
-
-
-def _without_ego(tracks: list[Track], ego: Ego, warnings: list[str]) -> tuple[list[Track], Track | None]:
-    """Take the recorded driver out: one whose body covers the ego's centre at the start and heads the same way."""
-    human = None
-    rest = []
-    for k in tracks:
-        i = -k.frame0
-        if 0 <= i < len(k.x):
-            c, s = np.cos(k.heading[i]), np.sin(k.heading[i])
-            dx, dy = ego.x - k.x[i], ego.y - k.y[i]
-            inside = abs(c * dx + s * dy) < k.length / 2 and abs(c * dy - s * dx) < k.width / 2
-            if human is None and inside and abs(float(wrap_angle(k.heading[i] - ego.heading))) < 0.5:
-                human = k
-                warnings.append(f"{k.label} stands in the ego's place at the start: it is the recorded driver")
-                continue
-            body = rectangle_corners(ego.x, ego.y, ego.heading, ego.length, ego.width)
-            other = rectangle_corners(k.x[i], k.y[i], k.heading[i], k.length, k.width)
-            if float(distance_between_rectangles(body, other)) <= 0.0:
-                warnings.append(f"{k.label} overlaps the ego at the start and is left out")
-                continue
-        rest.append(k)
-    return rest, human
 
 
 # --- the route ---

@@ -110,9 +110,10 @@ def _limit(network: Any, lanelet: Any) -> float:
 def _stop_lines(network: Any, known: set[int]) -> list[Obstacle]:
     found = []
     for lanelet in network.lanelets:
-        if lanelet.stop_line is None or lanelet.lanelet_id not in known:
+        line = lanelet.stop_line
+        if (line is None and not lanelet.traffic_lights) or lanelet.lanelet_id not in known:
             continue
-        start, end = lanelet.stop_line.start, lanelet.stop_line.end
+        start, end = (None, None) if line is None else (line.start, line.end)
         if start is None or end is None:
             start, end = lanelet.left_vertices[-1], lanelet.right_vertices[-1]
         points = np.array([start[:2], end[:2]], dtype=np.float64)
@@ -129,7 +130,7 @@ def _stop_lines(network: Any, known: set[int]) -> list[Obstacle]:
 def read_lights(network: Any, map: Map, dt: float, duration_s: float, route: list[int]) -> list[Closure]:
     """When each stop line is closed: all lights for the movements from its lane (on the route: for that one) are red.
 
-    Yellow does not close. A lane with lights but no stop line is closed as a whole behind its end, by its successors.
+    Yellow does not close. Where a lane has lights but no stop line, it is closed at its end.
     """
     lines = {k.id for k in map.obstacles if k.kind == "stop_line"}
     lanes = {k.id: k for k in map.lanes}

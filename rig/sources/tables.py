@@ -22,6 +22,7 @@ from common.geometry import Polyline
 from common.messages import F64, FRAME_S, I64, Goal, Map, ObjectClass, Route
 from rig.settings import RigSettings
 from rig.sources.motion import heading_from_motion, smoothed
+from rig.sources.start import without_ego
 from rig.world import SIZES, Scenario, ScenarioError, Track, ego_at
 
 COLUMNS = ("rec", "track", "type", "frame", "t", "x", "y", "vx", "vy", "heading", "length", "width")
@@ -242,6 +243,7 @@ def _scenario(path: Path, ego: Rows, others: list[Rows], settings: RigSettings) 
     size = (human.length, human.width, AXLES * human.length)
     ego0 = ego_at(human.x[1], human.y[1], human.heading[1], float(np.hypot(*v)), size=size)
     limit = settings.default_speed_limit or _limit(human, settings)
+    tracks, _ = without_ego(tracks, ego0, warnings)
     route, far = _route(human, limit)
     warnings.append(f"no map: the recorded path of {ego.name} is the route, {limit:g} m/s the speed limit")
     if far < 5.0:

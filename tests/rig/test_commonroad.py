@@ -100,7 +100,8 @@ def scenario(
     )
     return (
         f'<?xml version="1.0"?><commonRoad commonRoadVersion="{"2020a" if new else "2018b"}"'
-        f' benchmarkID="DEU_Test-1_1_T-1" author="a" affiliation="b" source="c" date="2024-01-01" timeStepSize="{dt}" tags="urban">'
+        f' benchmarkID="DEU_Test-1_1_T-1" author="a" affiliation="b" source="c" date="2024-01-01"'
+        f' timeStepSize="{dt}" tags="urban">'
         f"{location}{tags}{lanes}{SIGN if new else ''}{LIGHT if light else ''}"
         f"{others if obstacles is None else obstacles}{problem}</commonRoad>"
     )
