@@ -1,0 +1,288 @@
+"""Fitting a network to windows: batches, augmentation, the loss, checkpoints that resume.
+
+Every batch draws a share of recorded windows and fills up with generated ones, each site alike by the square root of
+its size. Augmentation happens on positions before the own frame is laid, so that noise turns the frame as it does in
+service. Futures may be shorter than 60 frames: frames beyond `known` carry no loss.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from common.messages import F32, F64, FRAME_S, PREDICTION_FRAMES, ObjectClass
+from evaluation.trajectory_windows import Windows
+from services.predictor import features
+from services.predictor.lstm import Architecture, Network
+from services.predictor.surrounding_risk import RISK_POINTS, VELOCITY_STEPS
+
+MIRROR = np.array([2, 1, 0, 5, 4, 3, 8, 7, 6])
+"""The nine points seen in a mirror."""
+LEARNED_CLASSES = (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS)
+"""The class rule: networks learn from and speak for these alone."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to train."""
+
+    steps: int = 2500
+    batch: int = 192
+    rate: float = 1e-3
+    warm_up: int = 100
+    decay: float = 0.02
+    clip: float = 1.0
+    recorded_share: float = 0.35
+    """Share of recorded windows in each batch, the rest is generated."""
+    speed_scale: float = 0.35
+    """Speeds are scaled by e^±this."""
+    turn_rad: float = 0.05
+    """Own frames are laid askew by up to this."""
+    noise_m: float = 0.12
+    """Largest deviation of correlated noise of the positions [m]; white noise gets a third."""
+    late: float = 1.0
+    """Errors at time t weigh (0.5 s + t)^−late: 0 counts metres alike, 1 leaves the far end a little more."""
+    average: float = 0.998
+    """Weights are averaged exponentially over the steps, by this factor."""
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Network inputs and targets, own frame."""
+
+    x: F32
+    context: F32
+    target: F32  # positions (paper form) or residual to constant velocity [m], [n, 60, 2]
+    weight: F32  # [n, 60]
+
+
+class Pool:
+    """Windows to draw from."""
+
+    def __init__(self, data: Windows) -> None:
+        self.data = data
+        groups = np.array(data.sites)[data.recording] if len(data) else np.zeros(0)
+        _, group, count = np.unique(groups, return_inverse=True, return_counts=True)
+        weight = 1.0 / np.sqrt(count)
+        self.chance = weight[group] / weight[group].sum() if len(data) else np.zeros(0)
+        self._sum = np.cumsum(self.chance)
+
+    def draw(self, n: int, rng: np.random.Generator) -> Windows:
+        """n windows with replacement."""
+        rows = np.searchsorted(self._sum, rng.random(n) * self._sum[-1])
+        return self.data.take(np.minimum(rows, len(self.data) - 1))
+
+
+def learnable(data: Windows) -> Windows:
+    """Windows of the learned classes whose present speed opens the stop gate."""
+    speed = np.hypot(data.x[:, 0] - data.x[:, VELOCITY_STEPS], data.y[:, 0] - data.y[:, VELOCITY_STEPS])
+    moving = speed / (VELOCITY_STEPS * FRAME_S) > features.GATE_MPS[0]
+    return data.take(np.isin(data.cls, LEARNED_CLASSES) & moving)
+
+
+def batch_of(data: Windows, form: str, rng: np.random.Generator | None, options: Options) -> Batch:
+    """Inputs and targets; with a generator they are augmented."""
+    x, y, future, signals = data.x, data.y, data.future, data.signals
+    heading, length = data.heading[:, 0], data.length
+    if rng is not None:
+        n = len(data)
+        ox, oy = x[:, :1], y[:, :1]
+        flip = np.where(rng.random(n) < 0.5, -1.0, 1.0)[:, None]
+        scale = np.exp(rng.uniform(-1.0, 1.0, n) * options.speed_scale)[:, None]
+        noise = _noise(rng, n, x.shape[1], options.noise_m)
+        future = np.stack(((future[..., 0] - ox) * scale, (future[..., 1] - oy) * scale * flip), axis=-1)
+        x, y = (x - ox) * scale + noise[..., 0], (y - oy) * scale * flip + noise[..., 1]
+        heading = heading * flip[:, 0]
+        risk = np.where(flip[:, :, None] < 0, signals[..., MIRROR], signals[..., :RISK_POINTS])
+        leader = signals[..., RISK_POINTS:].copy()
+        leader[..., 1:3] *= scale[:, :, None]
+        signals = np.concatenate((risk, leader), axis=-1)
+    frame = features.OwnFrame.of(x, y, heading)
+    if rng is not None:
+        a = rng.uniform(-1.0, 1.0, len(data)) * options.turn_rad
+        c, s = np.cos(a), np.sin(a)
+        frame = features.OwnFrame(frame.x, frame.y, frame.cos * c - frame.sin * s, frame.sin * c + frame.cos * s)
+    own, ahead = frame.into(x, y), frame.into(future[..., 0], future[..., 1])
+    velocity = (own[:, 0] - own[:, VELOCITY_STEPS]) / (VELOCITY_STEPS * FRAME_S)
+    t = FRAME_S * np.arange(1, PREDICTION_FRAMES + 1)
+    if form == "paper":
+        inputs, target = features.plain_inputs(own, signals), ahead
+    else:
+        inputs = features.residual_inputs(own, velocity, signals)
+        target = ahead - velocity[:, None] * t[:, None]
+    weight = (np.arange(PREDICTION_FRAMES) < data.known[:, None]) * (0.5 + t) ** -options.late
+    return Batch(
+        inputs,
+        features.context(data.cls, length, velocity),
+        target.astype(np.float32),
+        weight.astype(np.float32),
+    )
+
+
+def _noise(rng: np.random.Generator, n: int, frames: int, size: float) -> F64:
+    """Correlated and white noise of positions [m], shape [n, frames, 2]; strength differs between windows."""
+    strength = size * rng.random((n, 1, 1)) * (rng.random((n, 1, 1)) < 0.8)
+    white = rng.standard_normal((n, frames, 2))
+    phase, period = rng.uniform(0, 2 * np.pi, (n, 1, 2)), rng.uniform(0.8, 4.0, (n, 1, 2))
+    slow = np.sin(2 * np.pi * FRAME_S * np.arange(frames)[None, :, None] / period + phase)
+    return np.asarray(strength * (white / 3.0 * rng.random((n, 1, 1)) + slow))
+
+
+def loss_of(network: Network, batch: Batch, device: str) -> torch.Tensor:
+    """Weighted mean square error [m²]."""
+    x, context, target, weight = (torch.from_numpy(a).to(device) for a in _arrays(batch))
+    error = ((network(x, context) - target) ** 2).sum(-1)
+    return (error * weight).sum() / weight.sum().clamp(min=1e-6)
+
+
+def _arrays(batch: Batch) -> tuple[F32, ...]:
+    return batch.x, batch.context, batch.target, batch.weight
+
+
+@dataclass
+class Fitted:
+    """A trained network and how it came about."""
+
+    network: Network
+    curve: list[tuple[int, float, float]]
+    """Step, training loss, validation loss (NaN without)."""
+
+
+def fit(
+    architecture: Architecture,
+    recorded: Windows,
+    generated: Windows | None,
+    options: Options,
+    *,
+    validation: Windows | None = None,
+    device: str = "cpu",
+    checkpoint: Path | None = None,
+    progress: Callable[[int, int, float, float, float], None] = lambda *_: None,
+    stop_at: int | None = None,
+) -> Fitted:
+    """Train; with a checkpoint file that exists, go on from there. `stop_at` ends early, as an interruption would.
+
+    `progress` gets step, steps, training loss, validation loss and seconds to go.
+    """
+    torch.manual_seed(options.seed)
+    network = Network(architecture).to(device)
+    average = Network(architecture).to(device)
+    average.load_state_dict(network.state_dict())
+    optimiser = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=options.decay)
+    pools = [(Pool(recorded), options.recorded_share if generated is not None else 1.0)] if len(recorded) else []
+    if generated is not None and len(generated):
+        pools.append((Pool(generated), 1.0 - options.recorded_share if pools else 1.0))
+    checks = (
+        None if validation is None or not len(validation) else batch_of(validation, architecture.form, None, options)
+    )
+    curve: list[tuple[int, float, float]] = []
+    first = 0
+    if checkpoint is not None and checkpoint.is_file():
+        first, curve = _resume(checkpoint, network, average, optimiser, architecture, options)
+    begin, running = time.monotonic(), float("nan")
+    for step in range(first, options.steps):
+        if stop_at is not None and step >= stop_at:
+            break
+        rng = np.random.default_rng([options.seed, step])
+        for group in optimiser.param_groups:
+            group["lr"] = options.rate * _schedule(step, options)
+        parts = [
+            batch_of(pool.draw(max(1, round(options.batch * share)), rng), architecture.form, rng, options)
+            for pool, share in pools
+        ]
+        batch = Batch(*(np.concatenate(a) for a in zip(*map(_arrays, parts), strict=True)))
+        optimiser.zero_grad()
+        loss = loss_of(network, batch, device)
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(network.parameters(), options.clip)
+        optimiser.step()
+        mix = min(options.average, step / (step + 10.0))
+        with torch.no_grad():
+            for a, b in zip(average.parameters(), network.parameters(), strict=True):
+                a.lerp_(b, 1.0 - mix)
+        value = float(loss.detach())
+        running = value if running != running else 0.98 * running + 0.02 * value
+        if (step + 1) % 100 == 0 or step + 1 == options.steps:
+            held = float("nan")
+            if checks is not None:
+                with torch.no_grad():
+                    held = float(loss_of(average, checks, device))
+            curve.append((step + 1, running, held))
+            to_go = (time.monotonic() - begin) / (step + 1 - first) * (options.steps - step - 1)
+            progress(step + 1, options.steps, running, held, to_go)
+            if checkpoint is not None:
+                _save(checkpoint, step + 1, curve, network, average, optimiser, architecture, options)
+    return Fitted(average.to("cpu").eval(), curve)
+
+
+def _schedule(step: int, options: Options) -> float:
+    """Warm-up, then a cosine."""
+    if step < options.warm_up:
+        return (step + 1) / options.warm_up
+    u = (step - options.warm_up) / max(options.steps - options.warm_up, 1)
+    return 0.01 + 0.99 * 0.5 * (1.0 + float(np.cos(np.pi * u)))
+
+
+def _identity(architecture: Architecture, options: Options) -> str:
+    return json.dumps([architecture.as_dict(), asdict(options)], sort_keys=True)
+
+
+def _save(
+    path: Path,
+    step: int,
+    curve: list[tuple[int, float, float]],
+    network: Network,
+    average: Network,
+    optimiser: torch.optim.Optimizer,
+    architecture: Architecture,
+    options: Options,
+) -> None:
+    state: dict[str, Any] = {
+        "identity": _identity(architecture, options),
+        "step": step,
+        "curve": curve,
+        "network": network.state_dict(),
+        "average": average.state_dict(),
+        "optimiser": optimiser.state_dict(),
+    }
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    torch.save(state, draft)
+    draft.replace(path)
+
+
+def _resume(
+    path: Path,
+    network: Network,
+    average: Network,
+    optimiser: torch.optim.Optimizer,
+    architecture: Architecture,
+    options: Options,
+) -> tuple[int, list[tuple[int, float, float]]]:
+    """Step and curve of a checkpoint of the same architecture and options; another one's is not used."""
+    state = torch.load(path, weights_only=True)
+    if state["identity"] != _identity(architecture, options):
+        return 0, []
+    network.load_state_dict(state["network"])
+    average.load_state_dict(state["average"])
+    optimiser.load_state_dict(state["optimiser"])
+    return int(state["step"]), [tuple(c) for c in state["curve"]]
+
+
+def residuals(network: Network, data: Windows, rows: int = 4096) -> npt.NDArray[np.float32]:
+    """What a network says for windows as they are, own frame [m], shape [n, 60, 2]."""
+    form, parts = network.architecture.form, []
+    with torch.no_grad():
+        for i in range(0, len(data), rows):
+            batch = batch_of(data.take(np.arange(i, min(i + rows, len(data)))), form, None, Options())
+            parts.append(network(torch.from_numpy(batch.x), torch.from_numpy(batch.context)).numpy())
+    return np.concatenate(parts) if parts else np.zeros((0, PREDICTION_FRAMES, 2), dtype=np.float32)

@@ -1,0 +1,100 @@
+"""The learned predictor in service: samples of what stood around, one batch through the network, motion out.
+
+    p(t) = p_0 + v t + gate(|v|) · shrink · residual(t)            residual form
+    p(t) = p_0 + v t + gate(|v|) · (Z(t) − v t)                    paper form
+
+with constant velocity from the kinematic state, so that what stands stays where it is. Headings follow the course of
+the predicted positions; speeds are their steps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from common.geometry import wrap_angle
+from common.messages import F32, F64, FRAME_S, Ego, ObjectClass, Objects, Stamped
+from common.risk import RiskParameters
+from services.predictor import features, signals
+from services.predictor.history import Bool, Frames
+from services.predictor.kinematic import Motion, State, constant_velocity
+from services.predictor.surrounding_risk import VELOCITY_STEPS
+from services.predictor.weights import Loaded
+
+GAP_NS = 1_000_000_000
+COURSE_MPS = 0.5
+"""Predicted speed below which the heading is held [m/s]."""
+
+
+class LearnedPredictor:
+    """A network with the samples of the last three seconds."""
+
+    def __init__(self, loaded: Loaded, risk: RiskParameters) -> None:
+        self.loaded = loaded
+        self.name = loaded.name
+        self.classes: Bool = np.isin(np.arange(len(ObjectClass)), [int(c) for c in loaded.classes])
+        """By class: whether the network speaks for it."""
+        self._risk = risk
+        self._samples: signals.Samples = ()
+
+    def warm_up(self) -> None:
+        """Run once, so that the first frame is as fast as the others."""
+        x = np.zeros((32, 30, 4 + signals.SIGNALS), dtype=np.float32)
+        with torch.inference_mode():
+            self.loaded.network(torch.from_numpy(x), torch.zeros(32, features.CONTEXT))
+
+    def observe(self, objects: Objects, history: Frames, ego: Stamped[Ego] | None, capture_ns: int) -> None:
+        """Sample surrounding risk and leaders of every object of one message."""
+        scene = signals.scene_of(objects, history, None if ego is None else ego.value)
+        values = signals.instant_signals(scene, len(objects.id), self._risk)
+        self._samples = signals.observed(self._samples, capture_ns, objects.id, values, GAP_NS)
+
+    def predict(self, objects: Objects, history: Frames, state: State, wanted: Bool) -> Motion:
+        """Motion of the objects where `wanted` (each with 30 frames of history), one row for each of these."""
+        around = signals.history(self._samples, objects.id[wanted])
+        return motion_of(
+            self.loaded,
+            history.x[wanted],
+            history.y[wanted],
+            objects.cls[wanted],
+            objects.length[wanted],
+            around,
+            state.take(wanted),
+        )
+
+
+def motion_of(loaded: Loaded, x: F64, y: F64, cls: np.ndarray, length: F64, around: F32, state: State) -> Motion:  # type: ignore[type-arg]
+    """Motion of n objects from histories [n, 30] (newest first) and signals [n, 30, SIGNALS]."""
+    frame = features.OwnFrame.of(x, y, state.heading)
+    own = frame.into(x, y)
+    velocity = (own[:, 0] - own[:, VELOCITY_STEPS]) / (VELOCITY_STEPS * FRAME_S)
+    straight = constant_velocity(state)
+    open_ = features.gate(np.hypot(state.vx, state.vy))[:, None]
+    plain = loaded.network.architecture.form == "paper"
+    inputs = features.plain_inputs(own, around) if plain else features.residual_inputs(own, velocity, around)
+    context = features.context(cls, length, velocity)
+    with torch.inference_mode():
+        z = loaded.network(torch.from_numpy(inputs), torch.from_numpy(context)).numpy().astype(np.float64)
+    turned = frame.turned_out(z)
+    px, py = state.x[:, None], state.y[:, None]
+    if plain:
+        dx, dy = turned[..., 0] + px - straight.x, turned[..., 1] + py - straight.y
+    else:
+        dx, dy = loaded.shrink * turned[..., 0], loaded.shrink * turned[..., 1]
+    return along(straight.x + open_ * dx, straight.y + open_ * dy, state)
+
+
+def along(x: F64, y: F64, state: State) -> Motion:
+    """Positions [n, 60] with the speeds of their steps, and the body turning with their course."""
+    steps_x = np.diff(x, axis=1, prepend=state.x[:, None])
+    steps_y = np.diff(y, axis=1, prepend=state.y[:, None])
+    speed = np.hypot(steps_x, steps_y) / FRAME_S
+    course = np.arctan2(steps_y, steps_x)
+    turns = np.zeros_like(course)
+    turns[:, 1:] = wrap_angle(np.diff(course, axis=1))
+    believed = np.minimum(speed, np.concatenate((speed[:, :1], speed[:, :-1]), axis=1)) > COURSE_MPS
+    # a reversal of the last centimetres is not a turn
+    turns = np.where(believed & (np.abs(turns) < 0.5), turns, 0.0)
+    offset = wrap_angle(course[:, 0] - state.course)
+    offset = np.where(believed[:, 0] & (np.abs(offset) < 0.5), offset, 0.0)
+    return Motion(x=x, y=y, heading=(state.heading + offset)[:, None] + np.cumsum(turns, axis=1), speed=speed)
