@@ -185,7 +185,7 @@ _FIELD = (
 #else
     const int MOST = 256;
 #endif
-    const int NO = 19, NS = 15;
+    const int NO = OBJECT_SIZE, NS = SEGMENT_SIZE;
     const float h = p.h;
     const bool square = p.k1 == 2.0f, linear = p.k1 == 1.0f;
     const int runs = (p.columns + p.run - 1) / p.run, blocks = p.rows / 4;
@@ -330,7 +330,7 @@ _STATIC = (
 #else
     const int MOST = 256;
 #endif
-    const int NL = 20;
+    const int NL = LINE_SIZE;
     const int runs = (p.columns + p.run - 1) / p.run, row = task / runs;
     const int c0 = (task % runs) * p.run, c1 = c0 + p.run < p.columns ? c0 + p.run : p.columns;
     const float x = (row + 0.5f) * p.h;
@@ -378,12 +378,18 @@ _STATIC = (
 )
 
 
-@wp.func_native(_FIELD)
+def _sized(snippet: str) -> str:
+    for name, fields in (("OBJECT", OBJECT_FIELDS), ("SEGMENT", SEGMENT_FIELDS), ("LINE", LINE_FIELDS)):
+        snippet = snippet.replace(f"{name}_SIZE", str(len(fields)))
+    return snippet
+
+
+@wp.func_native(_sized(_FIELD))
 def field_run(p: Volume, task: int):
     """One task of `field_kernel`."""
 
 
-@wp.func_native(_STATIC)
+@wp.func_native(_sized(_STATIC))
 def static_run(p: Volume, task: int):
     """One task of `static_kernel`."""
 

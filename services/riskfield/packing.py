@@ -52,9 +52,12 @@ def pack_objects(sources: DynamicSources, counts: Bools, grid: Grid, p: RiskPara
     upto = inner[None] & (lines.s[None] <= s_high[..., None])
     vertices = into_grid(grid, lines.vertices)
     ends = into_grid(grid, np.stack((lines.at(s_low), lines.at(s_high))))
-    between = (upto & ~below)[..., None]
-    low = np.minimum(np.where(between, vertices[None], np.inf).min(2), ends.min(0)) - sources.width[..., None]
-    high = np.maximum(np.where(between, vertices[None], -np.inf).max(2), ends.max(0)) + sources.width[..., None]
+    between = upto & ~below
+    low, high = ends.min(0), ends.max(0)
+    for axis in (0, 1):
+        along = np.ascontiguousarray(vertices[..., axis])[None]
+        low[..., axis] = np.minimum(low[..., axis], np.where(between, along, np.inf).min(-1)) - sources.width
+        high[..., axis] = np.maximum(high[..., axis], np.where(between, along, -np.inf).max(-1)) + sources.width
     lobe = (sources.u != 0.0) & np.all((high > 0.0) & (low < extent), axis=-1)
 
     kept = np.flatnonzero(counts & ((radius > 0.0) | lobe).any(0))

@@ -18,9 +18,8 @@ class RiskfieldSettings(Settings, frozen=True, kw_only=True):
     ahead_most: Metres = 600.0  # and ends here: reaches 1.5 v + v²/3 + 6.5 m up to 144 km/h [m]
     behind: Metres = 30.0  # grid behind the ego's centre [m]
     width: Metres = 40.0  # grid across, half of it on each side [m]
-    h: Annotated[float, Meta(ge=0.05, le=2.0)] = (
-        0.25  # side of a cell [m]; above 0.25 a barrier (half-width 0.6 m) can fall below the contact threshold between cells
-    )
+    # side of a cell [m]; above 0.25 a barrier (half-width 0.6 m) can fall below the contact threshold between cells
+    h: Annotated[float, Meta(ge=0.05, le=2.0)] = 0.25
     slices: Annotated[int, Meta(ge=1, le=256)] = 13  # number of slices [-]
     slice_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.5  # from one slice to the next [s]
     dtype: Literal["float16", "float32"] = "float16"  # of the volume

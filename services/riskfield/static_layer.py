@@ -157,47 +157,48 @@ def distinct(points: F64) -> F64 | None:
 
 def pack_lines(lines: tuple[StaticLine, ...], grid: Grid) -> F32:
     """Segments of lines as the kernels read them, [m, len(LINE_FIELDS)]; only those that touch the grid."""
-    extent = np.array([grid.rows * grid.h, grid.columns * grid.h])
-    rows = [_line_rows(line, index, grid) for index, line in enumerate(lines)]
-    packed = np.concatenate(rows) if rows else np.zeros((0, len(LINE_FIELDS)))
-    x_low, x_high = (packed[:, LINE_FIELDS.index(f)] for f in ("x_low", "x_high"))
-    return np.asarray(packed[(x_low <= extent[0]) & (x_high >= 0.0)], dtype=np.float32)
-
-
-def _line_rows(line: StaticLine, index: int, grid: Grid) -> F64:
-    points = into_grid(grid, line.points)
-    step = np.diff(points, axis=0)
+    if not lines:
+        return np.zeros((0, len(LINE_FIELDS)), dtype=np.float32)
+    counts = np.array([len(line.points) for line in lines])
+    index = np.repeat(np.arange(len(lines)), counts)
+    points = into_grid(grid, np.concatenate([line.points for line in lines]))
+    real = index[1:] == index[:-1]  # the others lead from one line to the next
+    step = np.diff(points, axis=0)[real]
+    points, index = points[:-1][real], index[:-1][real]
     length = np.hypot(step[:, 0], step[:, 1])
     t = step / length[:, None]
-    following = np.concatenate((t[1:], np.zeros((1, 2))))
-    reach = line.half_width + line.flat
-    depth = np.zeros(len(t)) if line.depth is None else line.depth
-    deep = np.where(line.side != 0, depth + line.half_width, 0.0)
+    goes_on = np.append(index[1:] == index[:-1], False)
+    following = np.where(goes_on[:, None], np.roll(t, -1, axis=0), 0.0)
+
+    half, k_s, flat, side, kind = np.array(
+        [(n.half_width, n.peak / n.half_width**2, n.flat, n.side, n.kind == "barrier") for n in lines], dtype=np.float64
+    )[index].T
+    depth = np.concatenate([np.zeros(len(n.points) - 1) if n.depth is None else n.depth for n in lines])
+    reach = half + flat
+    deep = np.where(side != 0.0, depth + half, 0.0)
     cross = np.abs(t[:, 0] * following[:, 1] - t[:, 1] * following[:, 0])
-    wedge = deep * np.where(np.sum(t * following, -1) > 0.0, cross, 1.0) * (np.arange(len(t)) < len(t) - 1)
-    along_low, along_high = np.full(len(t), -reach), length + np.maximum(reach, wedge)
-    beside_low = -np.maximum(reach, deep if line.side < 0 else 0.0)
-    beside_high = np.maximum(reach, deep if line.side > 0 else 0.0)
-    corners = points[:-1, 0] + np.stack(
+    wedge = deep * np.where(np.sum(t * following, -1) > 0.0, cross, 1.0) * goes_on
+    along_low, along_high = -reach, length + np.maximum(reach, wedge)
+    beside_low = -np.where(side < 0.0, np.maximum(reach, deep), reach)
+    beside_high = np.where(side > 0.0, np.maximum(reach, deep), reach)
+    corners = points[:, 0] + np.stack(
         [al * t[:, 0] - pe * t[:, 1] for al in (along_low, along_high) for pe in (beside_low, beside_high)]
     )
-    constant = {
-        "half_width": line.half_width,
-        "k_s": line.peak / line.half_width**2,
-        "flat": line.flat,
-        "side": float(line.side),
-        "kind": float(line.kind == "barrier"),
-        "index": float(index),
-    }
-    varying = {
-        "x": points[:-1, 0],
-        "y": points[:-1, 1],
+    values: dict[str, F64] = {
+        "x": points[:, 0],
+        "y": points[:, 1],
         "tx": t[:, 0],
         "ty": t[:, 1],
         "length": length,
         "next_x": following[:, 0],
         "next_y": following[:, 1],
+        "half_width": half,
+        "k_s": k_s,
+        "flat": flat,
+        "side": side,
         "depth": depth,
+        "kind": kind,
+        "index": index.astype(np.float64),
         "x_low": corners.min(0),
         "x_high": corners.max(0),
         "along_low": along_low,
@@ -205,10 +206,8 @@ def _line_rows(line: StaticLine, index: int, grid: Grid) -> F64:
         "beside_low": beside_low,
         "beside_high": beside_high,
     }
-    out = np.empty((len(t), len(LINE_FIELDS)))
-    for k, name in enumerate(LINE_FIELDS):
-        out[:, k] = varying[name] if name in varying else constant[name]
-    return out
+    touches = (values["x_low"] <= grid.rows * grid.h) & (values["x_high"] >= 0.0)
+    return np.stack([values[name][touches] for name in LINE_FIELDS], axis=-1).astype(np.float32)
 
 
 def _boundaries(lanes: list[Lane]) -> list[_Boundary]:
