@@ -134,7 +134,7 @@ def test_moving_and_turning_the_scene_moves_and_turns_the_prediction(paths, angl
 
 
 @given(seed=st.integers(0, 1000), now=st.integers(0, 40))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_the_future_changes_nothing(seed, now):
     rng = np.random.default_rng(seed)
     walk = np.cumsum(rng.normal(0.5, 0.2, (60, 2)), axis=0)

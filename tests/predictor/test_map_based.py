@@ -42,7 +42,7 @@ def curve(radius, *, angle=1.4, shift=(0.0, 0.0), rotation=0.0, **fields):
     rotation=st.floats(-3.0, 3.0),
     shift=UTM,
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_a_car_stays_on_its_lane_through_a_curve_and_across_successors(radius, v, back, offset, rotation, shift):
     map, centre = curve(radius, rotation=rotation, shift=shift)
     x, y = turned((-back, offset), rotation, shift)
@@ -120,7 +120,7 @@ def test_inside_a_junction_the_turn_tells_overlapping_lanes_apart():
 
 
 @given(limit=st.floats(5.0, 40.0), v=st.floats(5.0, 40.0), a=st.floats(0.5, 3.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_nobody_is_accelerated_beyond_the_limit_and_nobody_above_it_is_slowed(limit, v, a):
     map = Map(lanes=[lane(line(-300, 0, 1000, 0, 50), id=1, speed_limit=limit)])
     p = drive([straight(0.0, 0.0, 0.0, v, a)], map=map)
@@ -144,7 +144,7 @@ def test_a_lower_limit_ahead_is_met_with_comfort():
 
 
 @given(v=st.floats(2.0, 30.0), heading=st.floats(-3.0, 3.0))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_where_the_lane_ends_the_path_goes_straight_on(v, heading):
     c, s = np.cos(heading), np.sin(heading)
     map = Map(lanes=[lane(line(-100 * c, -100 * s, 3 * c, 3 * s), id=1)])

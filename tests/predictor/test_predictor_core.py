@@ -80,7 +80,7 @@ SCENES = {
 
 
 @given(**SCENES)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_whatever_valid_messages_arrive_the_prediction_is_valid(stream, map, policy):
     run(stream, map, policy)
 
