@@ -1,9 +1,10 @@
 """Does the pipeline's period follow its slowest stage rather than the sum of the stages? `forefield bench pipeline`.
 
 **Pipeline**: router and the three services as their own processes, viz off. Objects are fed as fast as they are
-accepted: `IN_FLIGHT` frames are under way at any time, and a new one is sent when a plan that rests on newer risk is
-received. The *period* is the time between receipts of successive such plans, so it includes codec and transport.
-The planner steps when new risk arrives (and 50 ms after its last step otherwise), so its own clock does not bound it.
+accepted: a fixed number of frames is under way at any time (2 or 3, whichever is faster in a short trial), and a new
+one is sent when a plan that rests on newer risk is received; the ego comes at 50 Hz as always. The *period* is the time
+between receipts of successive such plans, so it includes codec and transport. The planner steps when new risk arrives
+(and 50 ms after its last step otherwise), so its own clock does not bound it.
 
 **One process**: the same cores on the same scene, called one after another, nothing encoded and nothing sent; blocks of
 both alternate within one run, so that both see the same machine. `stages_ms` are the medians of its stages and
@@ -29,7 +30,7 @@ from common.messages import Cause, Map, Message, Objects, Prediction, Risk, Rout
 from common.risk import RiskParameters
 from common.topics import EGO, MAP, OBJECTS, PLAN, ROUTE
 from evaluation.bench_scene import BenchScene
-from rig.launcher import SERVICES, Crew
+from rig.launcher import SERVICES, Crew, LaunchError
 from rig.session import running
 from rig.settings import RigSettings
 from rig.statuses import Statuses
@@ -41,24 +42,28 @@ from services.predictor.settings import PredictorSettings
 from services.riskfield.core import RiskField
 from services.riskfield.settings import RiskfieldSettings
 
-IN_FLIGHT = 3
-"""Frames under way at once: one for each stage."""
+IN_FLIGHT = (2, 3)
+"""Frames under way at once: two keep a dominant stage busy, three keep balanced stages busy; more would only wait."""
+FRAMES = ("objects", "prediction", "risk")
 ROUNDS = 5
 WARM_FRAMES = 15
 STALL_S = 0.5
 """No plan for this long: the frames under way are taken for lost [s]."""
-REST_S = 0.4
-"""Between the blocks, until the services have nothing left that is fresh [s]."""
+EGO_NS = 20_000_000
+"""Between two messages of the ego [ns]."""
+MAX_STALLS = 20
+"""So many in one block: there is no pipeline to measure."""
+REST_S = 0.6
+"""Between the blocks, until the services have nothing left that is fresh and have said how they are [s]."""
 
 
-def measure(tree: Tree, *, objects: int = 32, frames: int = 300, in_flight: int = IN_FLIGHT) -> dict[str, Any]:
+def measure(tree: Tree, *, objects: int = 32, frames: int = 300) -> dict[str, Any]:
     """Run both, block by block.
 
     Args:
         tree: the resolved configuration.
         objects: road users in the scene.
         frames: plans to measure in the pipeline; the one process makes half as many.
-        in_flight: frames under way at once.
 
     Raises:
         LaunchError: the services did not come up or did not stay up.
@@ -73,25 +78,29 @@ def measure(tree: Tree, *, objects: int = 32, frames: int = 300, in_flight: int 
     ):
         assert crew is not None
         statuses = Statuses(bus, SERVICES)
-        feed = _Feed(bus, scene, crew, in_flight)
+        feed = _Feed(bus, scene, crew)
         crew.wait_ready(statuses, rig.ready_timeout_s)
         feed.block(WARM_FRAMES)
+        feed.tally.begin()
+        feed.choose(IN_FLIGHT)
         alone.block(WARM_FRAMES, feed.time_s)
         alone.clear()
         feed.tally.begin()
+        _rest(bus, statuses)
+        before = _overwritten(statuses)
         for _ in range(ROUNDS):
             feed.block(-(-frames // ROUNDS))
-            bus.wait(0.0)
             _rest(bus, statuses)
             alone.block(max(4, frames // (2 * ROUNDS)), feed.time_s)
-        statuses.update()
-        skipped = sum(
-            n for c in statuses.counters().values() for k, n in c.items() if k in _FRAMES and k.endswith(":overwritten")
-        )
-    return _result(feed, alone, objects, in_flight, skipped, tree)
+        _rest(bus, statuses)
+        skipped = _overwritten(statuses) - before
+        modes = {k.removeprefix("mode:"): n for k, n in statuses.counters()["planner"].items() if k.startswith("mode:")}
+    return _result(feed, alone, objects, skipped, modes, tree)
 
 
-_FRAMES = ("objects:overwritten", "prediction:overwritten", "risk:overwritten")
+def _overwritten(statuses: Statuses) -> int:
+    """Frames that a service had to skip so far."""
+    return sum(c[f"{topic}:overwritten"] for c in statuses.counters().values() for topic in FRAMES)
 
 
 def _rest(bus: Bus, statuses: Statuses) -> None:
@@ -102,8 +111,8 @@ def _rest(bus: Bus, statuses: Statuses) -> None:
 
 
 def _result(
-    feed: _Feed, alone: _OneProcess, objects: int, in_flight: int, skipped: int, tree: Tree
-) -> dict[str, Any]:  # fmt: skip
+    feed: _Feed, alone: _OneProcess, objects: int, skipped: int, modes: dict[str, int], tree: Tree
+) -> dict[str, Any]:
     stages = {name: round(float(np.median(values)), 3) for name, values in alone.times_ms.items()}
     total = sum(stages.values())
     period = float(np.median(feed.periods_ms))
@@ -118,9 +127,9 @@ def _result(
         "period_of_ms": {"plan": quantiles(feed.periods_ms, (50, 99))},
         "frames": {"pipeline": len(feed.periods_ms), "one_process": len(alone.cycles_ms), "skipped": skipped},
         "stalls": feed.stalls,
-        "in_flight": in_flight,
+        "in_flight": feed.in_flight,
         "objects": objects,
-        "modes": alone.modes,
+        "modes": {"pipeline": modes, "one_process": alone.modes},
         "machine": {
             "cpu": platform.processor() or platform.machine(),
             "cores": len(os.sched_getaffinity(0)),
@@ -133,8 +142,9 @@ def _result(
 class _Feed:
     """Feeds the pipeline and times what comes out."""
 
-    def __init__(self, bus: Bus, scene: BenchScene, crew: Crew, in_flight: int) -> None:
-        self._bus, self._scene, self._crew, self._in_flight = bus, scene, crew, in_flight
+    def __init__(self, bus: Bus, scene: BenchScene, crew: Crew) -> None:
+        self._bus, self._scene, self._crew = bus, scene, crew
+        self.in_flight = IN_FLIGHT[0]
         self._ego, self._objects = bus.publisher(EGO), bus.publisher(OBJECTS)
         self.tally = Tally(bus.boot)
         self.tally.listen(bus)
@@ -143,6 +153,7 @@ class _Feed:
         bus.publisher(MAP).put(scene.map(), capture_ns=self._start_ns)
         bus.publisher(ROUTE).put(scene.route(), capture_ns=self._start_ns)
         self._last = -1
+        self._ego_ns = 0
         self.periods_ms: list[float] = []
         self.stalls = 0
 
@@ -154,30 +165,48 @@ class _Feed:
         """Feed until so many plans on new risk came back; the first of a block ends no period."""
         before = len(self.tally.arrivals["plan"])
         goal, progress, heard = self._last + 1, time.monotonic(), self._seen()
-        received = 0
+        received = stalls = 0
         while received <= plans:
             seen = self._seen()
             if seen > heard:
                 received, heard, progress = received + (seen >= goal), seen, time.monotonic()
             elif time.monotonic() - progress > STALL_S:
                 self._crew.check()
-                self.stalls, progress = self.stalls + 1, time.monotonic()
+                stalls, progress = stalls + 1, time.monotonic()
+                if stalls > MAX_STALLS:
+                    raise LaunchError(f"no plan on new risk for {stalls * STALL_S:g} s: are the stages too slow here?")
                 self._put()
-            while self._last - max(self._seen(), goal - 1) < self._in_flight:
+            if time.monotonic_ns() - self._ego_ns >= EGO_NS:
+                self._put_ego()
+            while self._last - max(self._seen(), goal - 1) < self.in_flight:
                 self._put()
-            self._bus.wait(0.05)
+            self._bus.wait((self._ego_ns + EGO_NS - time.monotonic_ns()) * 1e-9)
         with_new = self.tally.arrivals["plan"][before:]
         self.periods_ms += list(np.diff(with_new) * 1e-6)
+        self.stalls += stalls
+
+    def choose(self, numbers: tuple[int, ...]) -> None:
+        """Try each number of frames under way, keep the fastest; start counting anew."""
+        medians = {}
+        for self.in_flight in numbers:
+            self.periods_ms.clear()
+            self.block(WARM_FRAMES)
+            medians[self.in_flight] = float(np.median(self.periods_ms))
+        self.in_flight = min(medians, key=lambda n: medians[n])
+        self.periods_ms.clear()
+        self.stalls = 0
 
     def _seen(self) -> int:
         return self.tally.newest.get("plan", -1)
 
+    def _put_ego(self) -> None:
+        self._ego_ns = time.monotonic_ns()
+        self._ego.put(self._scene.ego(self.time_s()), capture_ns=self._ego_ns)
+
     def _put(self) -> None:
+        objects = self._scene.objects(self.time_s())
         now = time.monotonic_ns()
-        t = (now - self._start_ns) * 1e-9
-        self._ego.put(self._scene.ego(t), capture_ns=now)
-        now = time.monotonic_ns()
-        cause = self._objects.put(self._scene.objects(t), capture_ns=now)
+        cause = self._objects.put(objects, capture_ns=now)
         self.tally.put(cause, now)
         self._last = cause.seq
 
@@ -249,4 +278,7 @@ def table(r: dict[str, Any]) -> Table:
     out.add_row("period / sum", f"{r['ratio_period_to_sum']:.2f}")
     e2e = r["end_to_end_ms"]
     out.add_row("end to end, saturated (99 %)", f"{e2e['p50']:.1f} ({e2e['p99']:.1f})")
+    driving = r["modes"]["pipeline"].get("drive", 0) / max(sum(r["modes"]["pipeline"].values()), 1)
+    if driving < 0.9:
+        out.caption = f"only {driving:.0%} of the plans drive: this machine is too busy or too slow for this scene"
     return out

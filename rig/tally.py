@@ -45,10 +45,14 @@ class Tally:
             bus.watch(topic, functools.partial(self.saw, topic.suffix))
 
     def begin(self) -> None:
-        """From here on it counts."""
+        """From here on it counts, from nothing."""
         with self._lock:
             self.counting = True
             self._put_ns.clear()
+            self.frames.clear()
+            self.end_to_end_ms.clear()
+            self.work_ms = {stage: [] for stage in self.work_ms}
+            self.arrivals = {topic: [] for topic in self.arrivals}
 
     def put(self, cause: Cause, now_ns: int) -> None:
         """The rig sent `objects` at `now_ns`."""
