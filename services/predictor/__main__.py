@@ -14,7 +14,7 @@ def build(tree: config.Tree, health: Health) -> Step:
     """Wire the core to the loop."""
     settings = config.section(tree, "predictor", PredictorSettings)
     core = Predictor(settings, config.section(tree, "risk", RiskParameters))
-    health.detail["policy"] = settings.policy
+    health.detail.update(core.detail)
 
     def step(inputs: Inputs) -> Output | Idle:
         objects = inputs.fresh(topics.OBJECTS)
@@ -24,8 +24,8 @@ def build(tree: config.Tree, health: Health) -> Step:
             return Idle("running", "ready")
         world = inputs.latest(topics.MAP)
         prediction = core.step(objects, inputs.fresh(topics.EGO), None if world is None else world.value)
-        cause = objects.descent()
-        return Output(prediction, objects.capture_ns, cause, objects.received_ns)
+        health.detail.update(core.detail)
+        return Output(prediction, objects.capture_ns, objects.descent(), objects.received_ns)
 
     return step
 

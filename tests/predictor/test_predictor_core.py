@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from common.codec import check
-from common.messages import SPEED_LIMIT, XY_LIMIT, Lane, Map, Method, ObjectClass, Objects
+from common.messages import SPEED_LIMIT, XY_LIMIT, Lane, Map, Method, Objects
 from common.risk import RiskParameters
 from services.predictor.core import Predictor
 from services.predictor.kinematic import Motion
@@ -194,18 +193,3 @@ def test_the_predictor_needs_neither_torch_nor_warp():
         "import services.predictor.core"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
-
-
-def test_a_prediction_of_many_objects_is_cheap():
-    rng = np.random.default_rng(0)
-    lanes = [lane(line(-500, 3.5 * i, 800, 3.5 * i, 60), id=i, left_neighbour=i + 1) for i in range(8)]
-    map = Map(lanes=lanes)
-    where = [(rng.uniform(0, 300), 3.5 * (i % 8), 0.0, rng.uniform(5, 30)) for i in range(128)]
-    p, best = predictor(), np.inf
-    for k in range(40):
-        t = 0.1 * k
-        now = objects_of([(x + v * t, y, h, v) for x, y, h, v in where], cls=ObjectClass.CAR)
-        start = time.perf_counter()
-        p.step(stamped(now, t), None, map)
-        best = min(best, time.perf_counter() - start)
-    assert best < 0.03  # about 7 ms on an idle core
