@@ -37,6 +37,7 @@ SERVICE = Service(
     publishes=topics.PLAN,
     trigger=topics.RISK,
     period_s=0.05,
+    grace_s=0.02,  # at 10 Hz the second step lies between two risks, and is not begun just before the next arrives
     build=build,
 )
 
