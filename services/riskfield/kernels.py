@@ -19,7 +19,7 @@ OBJECT_FIELDS = (
 """A row of `objects`: one object in one slice, see `services.riskfield.packing`."""
 SEGMENT_FIELDS = (
     "x", "y", "tx", "ty", "s", "low", "high", "before_x", "before_y", "turn", "before_most", "next_x", "next_y",
-    "next_0", "next_most",
+    "next_0", "next_most", "x_low", "x_high",
 )  # fmt: skip
 """A row of `segments`: one segment of one object's path."""
 LINE_FIELDS = (
@@ -91,6 +91,7 @@ _WINDOW = """
         a = a < low ? low : a; a = a > high ? high : a;
         b = b > high ? high : b; b = b < low ? low : b;
         j0 = (int)a; j1 = (int)b + 1; if (j1 > c1) j1 = c1;
+        j1 = j0 + (j1 - j0 + W - 1) / W * W;  // whole vectors: what lies beyond is computed and not kept
     };
 """
 
@@ -149,7 +150,7 @@ _TERMS = """
         return tapered(o, square ? d2 : (linear ? d : powf(d, k1)), d);
     };
     struct Segment {
-        float x, y, tx, ty, s, low, high, bx, by, turn, before_most, nx, ny, n0, next_most;
+        float x, y, tx, ty, s, low, high, bx, by, turn, before_most, nx, ny, n0, next_most, x_low, x_high;
     };
     auto place = [=](const Object& o, const Segment& g, float rx, float ry, float& s, float& d2) {
         const float al = rx * g.tx + ry * g.ty, pe = ry * g.tx - rx * g.ty;
@@ -181,9 +182,9 @@ _TERMS = """
 _FIELD = (
     """
 #ifdef __CUDA_ARCH__
-    const int MOST = 16;
+    const int MOST = 16, W = 1;
 #else
-    const int MOST = 256;
+    const int MOST = 256, W = 16;
 #endif
     const int NO = OBJECT_SIZE, NS = SEGMENT_SIZE;
     const float h = p.h;
@@ -192,7 +193,8 @@ _FIELD = (
     const int slice = task / (blocks * runs), block = (task / runs) % blocks;
     const int c0 = (task % runs) * p.run, c1 = c0 + p.run < p.columns ? c0 + p.run : p.columns, cells = c1 - c0;
     const float* objects = p.objects.data + (long long)slice * p.objects_count * NO;
-    float acc[4 * MOST], kin[MOST];
+    const int PITCH = MOST + W;
+    float acc[4 * PITCH], kin[PITCH];
 """
     + _WINDOW
     + _MATHS
@@ -201,9 +203,10 @@ _FIELD = (
     for (int r = 0; r < 4; ++r) {
         const int row = 4 * block + r;
         const float x = (row + 0.5f) * p.h;
-        float* sum = acc + r * MOST;
+        float* sum = acc + r * PITCH;
         const float* still = p.static_sum.data + (long long)row * p.columns + c0;
         for (int j = 0; j < cells; ++j) sum[j] = still[j];
+        for (int j = cells; j < cells + W; ++j) sum[j] = 0.0f;
         for (int n = 0; n < p.objects_count; ++n) {
             const Object o = read(objects + n * NO);
             const float dx = x - o.x, ddx = o.radius * o.radius - dx * dx;
@@ -212,10 +215,11 @@ _FIELD = (
                 const float half = sq(ddx);
                 clip(o.y - half, o.y + half, c0, c1, j0, j1);
                 if (square) {
-                    for (int j = j0; j < j1; ++j) {
-                        const float d2 = distance2(o, dx, (j + 0.5f) * h - o.y);
-                        sum[j - c0] += tapered(o, d2, sq(d2));
-                    }
+                    for (int b = j0; b < j1; b += W)
+                        for (int j = b; j < b + W; ++j) {
+                            const float d2 = distance2(o, dx, (j + 0.5f) * h - o.y);
+                            sum[j - c0] += tapered(o, d2, sq(d2));
+                        }
                 } else {
                     for (int j = j0; j < j1; ++j) sum[j - c0] += potential(o, dx, (j + 0.5f) * h - o.y);
                 }
@@ -226,6 +230,7 @@ _FIELD = (
             const float s_high = o.s0 + o.half + (o.sign > 0.0f ? o.reach : 0.0f);
             int low = c1, high = c0;
             for (int k = o.first; k <= o.last; ++k) {
+                if (x < path[k].x_low - o.width || x > path[k].x_high + o.width) continue;
                 const Segment g = path[k];
                 const float rx = x - g.x;
                 float a0 = s_low - g.s, a1 = s_high - g.s, y0, y1;
@@ -246,10 +251,11 @@ _FIELD = (
                         kin[j - c0] = e > kin[j - c0] ? e : kin[j - c0];
                     }
                 } else {
-                    for (int j = j0; j < j1; ++j) {
-                        const float e = sound(o, g, rx, (j + 0.5f) * h - g.y);
-                        kin[j - c0] = e > kin[j - c0] ? e : kin[j - c0];
-                    }
+                    for (int b = j0; b < j1; b += W)
+                        for (int j = b; j < b + W; ++j) {
+                            const float e = sound(o, g, rx, (j + 0.5f) * h - g.y);
+                            kin[j - c0] = e > kin[j - c0] ? e : kin[j - c0];
+                        }
                 }
             }
             for (int j = low; j < high; ++j) sum[j - c0] += kin[j - c0];
@@ -270,13 +276,14 @@ _FIELD = (
 
     // the source with the largest share at each block's highest cell
     const int bs = (cells + 3) / 4;
-    float bx[MOST / 4], by[MOST / 4], best[MOST / 4];
-    int id[MOST / 4];
+    float bx[MOST / 4 + W], by[MOST / 4 + W], best[MOST / 4 + W];
+    int id[MOST / 4 + W];
+    for (int b = bs; b < bs + W; ++b) { bx[b] = by[b] = best[b] = 0.0f; id[b] = -1; }
     for (int b = 0; b < bs; ++b) {
         float top = -1.0f; int tr = 0, tc = 0;
         for (int r = 0; r < 4; ++r)
             for (int c = 4 * b; c < 4 * b + 4 && c < cells; ++c)
-                if (acc[r * MOST + c] > top) { top = acc[r * MOST + c]; tr = r; tc = c; }
+                if (acc[r * PITCH + c] > top) { top = acc[r * PITCH + c]; tr = r; tc = c; }
         const long long at = (long long)(4 * block + tr) * p.columns + c0 + tc;
         bx[b] = (4 * block + tr + 0.5f) * p.h; by[b] = (c0 + tc + 0.5f) * p.h;
         best[b] = p.static_best.data[at];
@@ -291,15 +298,24 @@ _FIELD = (
         if (ddx > 0.0f) {
             const float half = sq(ddx);
             clip(o.y - half, o.y + half, c0, c1, j0, j1);
-            const int b0 = (j0 - c0) / 4, b1 = (j1 - c0 + 3) / 4;
-            for (int b = b0; b < b1; ++b) {
-                const float e = potential(o, bx[b] - o.x, by[b] - o.y);
-                id[b] = e > best[b] ? 2 * n : id[b]; best[b] = e > best[b] ? e : best[b];
+            const int b0 = (j0 - c0) / 4, b1 = (j1 - c0 + 3) / 4 < bs ? (j1 - c0 + 3) / 4 : bs;
+            if (square) {
+                for (int c = b0; c < b1; c += W)
+                    for (int b = c; b < c + W; ++b) {
+                        const float d2 = distance2(o, bx[b] - o.x, by[b] - o.y), e = tapered(o, d2, sq(d2));
+                        id[b] = e > best[b] ? 2 * n : id[b]; best[b] = e > best[b] ? e : best[b];
+                    }
+            } else {
+                for (int b = b0; b < b1; ++b) {
+                    const float e = potential(o, bx[b] - o.x, by[b] - o.y);
+                    id[b] = e > best[b] ? 2 * n : id[b]; best[b] = e > best[b] ? e : best[b];
+                }
             }
         }
         if (x_mid + 2.0f * h < o.low || x_mid - 2.0f * h > o.high) continue;
         const Segment* path = (const Segment*)(p.segments.data + (long long)n * p.segments_stride * NS);
         for (int k = o.first; k <= o.last; ++k) {
+            if (x_mid + 2.0f * h < path[k].x_low - o.width || x_mid - 2.0f * h > path[k].x_high + o.width) continue;
             const Segment g = path[k];
             // the blocks a segment may reach: its own extent, widened by the strip
             float a0 = g.low - o.width * g.turn, a1 = g.high;
@@ -309,11 +325,18 @@ _FIELD = (
             if ((xa < xb ? xb : xa) + o.width < x_mid - 2.0f * h) continue;
             if ((xa < xb ? xa : xb) - o.width > x_mid + 2.0f * h) continue;
             clip((ya < yb ? ya : yb) - o.width, (ya < yb ? yb : ya) + o.width, c0, c1, j0, j1);
-            const int b0 = (j0 - c0) / 4, b1 = (j1 - c0 + 3) / 4;
-            for (int b = b0; b < b1; ++b) {
-                const float rx = bx[b] - g.x, ry = by[b] - g.y;
-                const float e = p.paper ? printed(o, g, rx, ry) : sound(o, g, rx, ry);
-                id[b] = e > best[b] ? 2 * n + 1 : id[b]; best[b] = e > best[b] ? e : best[b];
+            const int b0 = (j0 - c0) / 4, b1 = (j1 - c0 + 3) / 4 < bs ? (j1 - c0 + 3) / 4 : bs;
+            if (p.paper) {
+                for (int b = b0; b < b1; ++b) {
+                    const float e = printed(o, g, bx[b] - g.x, by[b] - g.y);
+                    id[b] = e > best[b] ? 2 * n + 1 : id[b]; best[b] = e > best[b] ? e : best[b];
+                }
+            } else {
+                for (int c = b0; c < b1; c += W)
+                    for (int b = c; b < c + W; ++b) {
+                        const float e = sound(o, g, bx[b] - g.x, by[b] - g.y);
+                        id[b] = e > best[b] ? 2 * n + 1 : id[b]; best[b] = e > best[b] ? e : best[b];
+                    }
             }
         }
     }
@@ -326,21 +349,22 @@ _FIELD = (
 _STATIC = (
     """
 #ifdef __CUDA_ARCH__
-    const int MOST = 16;
+    const int MOST = 16, W = 1;
 #else
-    const int MOST = 256;
+    const int MOST = 256, W = 16;
 #endif
     const int NL = LINE_SIZE;
     const int runs = (p.columns + p.run - 1) / p.run, row = task / runs;
     const int c0 = (task % runs) * p.run, c1 = c0 + p.run < p.columns ? c0 + p.run : p.columns;
     const float x = (row + 0.5f) * p.h;
-    float best[2 * MOST];
-    int line[2 * MOST];
+    const int PITCH = MOST + W;
+    float best[2 * PITCH];
+    int line[2 * PITCH];
 """
     + _WINDOW
     + _MATHS
     + """
-    for (int j = 0; j < 2 * MOST; ++j) { best[j] = 0.0f; line[j] = -1; }
+    for (int j = 0; j < 2 * PITCH; ++j) { best[j] = 0.0f; line[j] = -1; }
     for (int k = 0; k < p.lines_count; ++k) {
         const float* g = p.lines.data + k * NL;
         if (x < g[14] || x > g[15]) continue;
@@ -349,8 +373,8 @@ _STATIC = (
         window(rx, g[2], g[3], g[16], g[17], g[18], g[19], y0, y1);
         if (y0 >= y1) continue;
         int j0, j1; clip(g[1] + y0, g[1] + y1, c0, c1, j0, j1);
-        float* top = best + (g[12] > 0.5f ? MOST : 0);
-        int* name = line + (g[12] > 0.5f ? MOST : 0);
+        float* top = best + (g[12] > 0.5f ? PITCH : 0);
+        int* name = line + (g[12] > 0.5f ? PITCH : 0);
         const int index = (int)g[13];
         for (int j = j0; j < j1; ++j) {
             const float ry = (j + 0.5f) * p.h - g[1];
@@ -369,10 +393,10 @@ _STATIC = (
     }
     for (int j = c0; j < c1; ++j) {
         const long long at = (long long)row * p.columns + j;
-        const float a = best[j - c0], b = best[j - c0 + MOST];
+        const float a = best[j - c0], b = best[j - c0 + PITCH];
         p.static_sum.data[at] = a + b;
         p.static_best.data[at] = a > b ? a : b;
-        p.static_line.data[at] = a > b ? line[j - c0] : line[j - c0 + MOST];
+        p.static_line.data[at] = a > b ? line[j - c0] : line[j - c0 + PITCH];
     }
 """
 )

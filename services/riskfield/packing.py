@@ -112,6 +112,9 @@ def _segments(vertices: F64, s: F64, count: Indices) -> F32:
     span = np.concatenate((np.zeros((n, 1)), length), axis=1)
     span[:, 1] = span[np.arange(n), count - 1] = FAR
     last = (np.arange(n), count - 2)
+    far = high.copy()
+    far[last] = FAR
+    ends = anchor[..., 0] + low * tangent[..., 0], anchor[..., 0] + far * tangent[..., 0]
     values: dict[str, F64] = {
         "x": anchor[..., 0],
         "y": anchor[..., 1],
@@ -119,7 +122,7 @@ def _segments(vertices: F64, s: F64, count: Indices) -> F32:
         "ty": tangent[..., 1],
         "s": s_anchor,
         "low": low,
-        "high": high,
+        "high": far,
         "before_x": before[..., 0],
         "before_y": before[..., 1],
         "turn": np.where(dot >= 0.0, cross, 1.0),
@@ -127,10 +130,11 @@ def _segments(vertices: F64, s: F64, count: Indices) -> F32:
         "next_x": following[..., 0],
         "next_y": following[..., 1],
         "next_0": high * np.concatenate((dot[:, 1:], np.zeros((n, 1))), axis=1),
+        "x_low": np.minimum(*ends),
+        "x_high": np.maximum(*ends),
         "next_most": np.concatenate((np.where(coupled, span[:, 1:], 0.0)[:, 1:], np.zeros((n, 1))), axis=1),
     }
     for k, name in enumerate(SEGMENT_FIELDS):
         out[..., k] = values[name]
-    out[(*last, SEGMENT_FIELDS.index("high"))] = FAR
     out[:, 0, SEGMENT_FIELDS.index("turn")] = 0.0
     return out
