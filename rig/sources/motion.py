@@ -10,6 +10,9 @@ from common.messages import F64, FRAME_S
 MOVED_M = 0.15
 """Displacement [m] from which a direction of motion is believed."""
 
+SIGMAS_M = (12.0, 8.0, 5.0, 3.0, 2.0, 1.5)
+"""Lengths over which a line may be smoothed [m], the gentlest last."""
+
 
 def heading_from_motion(x: F64, y: F64, otherwise: float = 0.0) -> F64:
     """Direction of motion at each row [rad], looking back as far as it takes to have moved 0.15 m.
@@ -57,3 +60,14 @@ def smoothed(points: F64, sigma_m: float = 1.5, step_m: float = 0.5) -> F64:
     beyond = np.arange(1, reach + 1) * step
     padded = np.vstack((line.at(-beyond[::-1]), line.points, line.at(line.length + beyond)))
     return np.stack([np.convolve(padded[:, k], kernel, mode="valid") for k in (0, 1)], axis=-1)
+
+
+def fair(points: F64, allowed_m: float = 0.2) -> F64:
+    """The line smoothed as far as it moves by no more than `allowed_m` [m]: straight roads much, tight turns little."""
+    raw = Polyline.of(points, tolerance=1e-3).resampled(0.5)
+    line = raw.points
+    for sigma in SIGMAS_M:
+        line = smoothed(points, sigma)
+        if float(np.max(np.abs(raw.project(line)[1]))) <= allowed_m:
+            break
+    return line

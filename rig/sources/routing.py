@@ -1,7 +1,7 @@
 """A route through lanes: the cheapest lane sequence from a pose to a goal, and a reference line along it.
 
 Costs are metres: a successor costs its length, a lane change 30 m (80 m across a solid line). The reference line joins
-centre lines; a lane change moves over with a quintic step in at least 30 m where the lane is long enough.
+centre lines; a lane change moves over with a quintic step in 6.5 s and at least 45 m where the lane is long enough.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ import numpy as np
 
 from common.geometry import Polyline, wrap_angle
 from common.messages import F64, Lane, Map
-from rig.sources.motion import smoothed
+from rig.sources.motion import fair
 
 CHANGE_M, CHANGE_SOLID_M = 30.0, 80.0
 BEFORE_M, BEYOND_M = 30.0, 100.0  # the reference reaches this far behind the start and beyond the goal
+CHANGE_LENGTH_M, CHANGE_TIME_S = 45.0, 6.5  # over a lane of 3.5 m: 0.5 m/s² sideways (5.8 w / T²)
 FORBIDDEN = ("kerb", "barrier", "road_edge")
 
 
@@ -142,7 +143,7 @@ def reference(roads: Roads, path: list[int], x: float, y: float, speed: float) -
         target = _joined(roads, [*_back(roads, chain[0]), *chain])
         end = float(line.project(roads.lines[chains[k - 1][-1]].points[-1])[0])
         room = max(end - position, 5.0) / _changes_in_row(chains, k)
-        span = min(room, max(30.0, 4.0 * speed))
+        span = min(room, max(CHANGE_LENGTH_M, CHANGE_TIME_S * speed))
         s = np.arange(position, position + span, 0.5)
         w = (s - position) / span
         w = w**3 * (10 - 15 * w + 6 * w**2)
@@ -152,7 +153,7 @@ def reference(roads: Roads, path: list[int], x: float, y: float, speed: float) -
         position = float(target.project(line.at(position + span))[0])
         line = target
     points = np.vstack((points, line.cut(position, max(line.length, position + 1.0)).points))
-    return smoothed(_forward(points))
+    return fair(_forward(points))
 
 
 def _chains(roads: Roads, path: list[int]) -> list[list[int]]:

@@ -21,7 +21,7 @@ import numpy as np
 from common.geometry import Polyline
 from common.messages import F64, FRAME_S, I64, Goal, Map, ObjectClass, Route
 from rig.settings import RigSettings
-from rig.sources.motion import heading_from_motion, smoothed
+from rig.sources.motion import fair, heading_from_motion
 from rig.sources.start import without_ego
 from rig.world import SIZES, Scenario, ScenarioError, Track, ego_at
 
@@ -307,13 +307,13 @@ def _route(human: Track, limit: float) -> tuple[Route, float]:
     ahead = np.array([np.cos(human.heading[1]), np.sin(human.heading[1])])
     if len(kept) < 2:
         kept = [path[0] - ahead, path[0], path[0] + ahead]
-    line = Polyline.of(smoothed(np.array(kept)))
+    line = Polyline.of(fair(np.array(kept)))
     # the last metres give the direction, not the last half metre alone
     tail = line.at(line.length) - line.at(max(0.0, line.length - 5.0))
     tail /= np.hypot(*tail)
     more = line.at(line.length) + np.arange(1.0, BEYOND_M)[:, None] * tail
     goal = path[-1]
-    reference = np.ascontiguousarray(smoothed(np.vstack((line.points, more))))
+    reference = np.ascontiguousarray(fair(np.vstack((line.points, more))))
     route = Route(
         reference=reference,
         goal=Goal(x=float(goal[0]), y=float(goal[1]), radius=GOAL_RADIUS_M),
