@@ -62,6 +62,7 @@ class _Sampled:
 
     frenet: tuple[float, float, float, float]
     targets: list[Target]
+    fresh: int  # so many of them are new moves; the last one, if there is one more, is the move under way
     paths: Paths
     footprint: Footprint
     risk: PathRisk
@@ -75,17 +76,16 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     look = _sample(scene, settings)
     start, paths = scene.start, look.paths
     field = Field.of(look.risk, scene.volume, look.cap, paths.end, look.s_max, paths.step, settings)
-    cost = path_cost(paths, scene.road.lanes, look.footprint.half_width, previous, settings)
-    verdict = search(field, start, settings, -cost)
+    committed = np.arange(len(paths.target)) >= look.fresh
+    cost = path_cost(paths, scene.road.lanes, look.footprint.half_width, previous, committed, settings)
+    verdict = search(field, start, settings, cost, lambda rest: lane_centre_distance(paths, scene.road.lanes, rest))
 
     # what curves allow within 3 s counts as much as what risk allows; but nobody cuts corners to be faster in them
     near = paths.stations[None] <= 3.0 * np.maximum(verdict.desired, start.speed)[:, None] + 1.0
     curve = np.where(near & (look.cap.cause != CAUSES.index("limit")), look.cap.speed, np.inf).min(axis=1)
     curve = np.minimum(curve, curve[0])
-    off = lane_centre_distance(paths, scene.road.lanes, verdict.rest)
-    stops = (verdict.hold <= settings.hold_s) & (off > 0.7)
-    score = np.minimum(verdict.desired, curve) - settings.tier_cost * verdict.tier - cost
-    score = np.where(verdict.passed, score - settings.stop_off_centre_cost * stops, -1e3 - cost)
+    score = np.minimum(verdict.desired, curve) - settings.tier_cost * verdict.tier - verdict.penalty - cost
+    score = np.where(verdict.passed, score, -1e3 - cost)
 
     if verdict.passed.any():
         chosen = int(np.argmax(score))
@@ -175,7 +175,8 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
     footprint = Footprint.of(scene.ego, settings.footprint_spacing)
     risk = path_risk(scene.volume, footprint, paths.x, paths.y, paths.heading, step)
     cap = _cap(scene, paths, risk.known, footprint, settings)
-    return _Sampled(frenet, targets, paths, footprint, risk, cap, np.full(len(targets), s_max))
+    fresh = len(targets) - len(targets) % len(settings.lengths)
+    return _Sampled(frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max))
 
 
 def _targets(
@@ -204,7 +205,7 @@ def _targets(
     if memory is not None:
         left = max(memory.remaining - scene.travelled, 6.0, 1.5 * speed)
         for kind in kinds:
-            if kind.name == memory.target_name and left < min(lengths):
+            if kind.name == memory.target_name:
                 targets.append(kind)
                 lengths.append(left)
     return targets, np.array(lengths)

@@ -102,7 +102,7 @@ class ReferenceLine:
         if near is not None:
             s = self.spacing * np.arange(len(self.x))
             window = (s > near - 10.0) & (s < near + 30.0)
-            if np.any(window) and float(cost[window].min()) < 25.0:
+            if np.any(window) and float(cost[window].min()) < 100.0:
                 cost = np.where(window, cost, np.inf)
         else:  # of two legs of the line the one that runs the ego's way, unless it is 6 m further
             cost = np.sqrt(cost) + 3.0 * (1.0 - np.cos(self.heading - heading))

@@ -6,6 +6,7 @@ for any risk, so that a path's desired speed never rises when a cell's risk does
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ F64 = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.intp]
 Bools = npt.NDArray[np.bool_]
 
+_OFF_CENTRE = 0.7  # m
 _COARSE = 6
 _FINE = 3
 
@@ -36,23 +38,49 @@ class Verdict:
     failure: Ints  # what fails just above S_p, index into FAILURES; 0: nothing [n]
     failed_at: Ints  # in which step [n]
     failed_distance: F64  # and where on the path [n] [m]
+    penalty: F64  # for coming to rest off a lane's centre [n] [m/s]
 
 
-def search(field: Field, start: Start, settings: PlannerSettings, preferred: F64) -> Verdict:
-    """Evaluate every path of the field; `preferred` [n] is what all but speed adds to each path's score."""
-    n = len(field.s_max)
-    everything = np.arange(n)
+def search(
+    field: Field, start: Start, settings: PlannerSettings, cost: F64, off_centre: Callable[[F64], F64]
+) -> Verdict:
+    """Evaluate every path of the field, going on and stopping apart.
+
+    Args:
+        field: What the paths meet.
+        start: State from which.
+        settings: The controller's and the checks'.
+        cost: What speaks against each path besides its speed [n] [m/s].
+        off_centre: How far off a lane's centre each path is at distances [n] [m]: there nobody should stop.
+    """
+    everything = np.arange(len(field.s_max))
     comfort, firm, emergency = Tier.all(settings)
-    verdict = _highest(field, start, everything, comfort, settings)
-    score = np.where(verdict.passed, verdict.desired + preferred, -np.inf)
+
+    def both(path: Ints, tier: Tier) -> Verdict:
+        """The better of going on for good, and of braking to rest after the hold."""
+        holds = np.repeat([np.inf, settings.hold_s], len(path))
+        found = _highest(field, start, np.tile(path, 2), holds, tier, settings)
+        go, stop = (Verdict(**{k: v[part] for k, v in vars(found).items()}) for part in _halves(len(path)))
+        rest = np.zeros(len(everything))
+        rest[path] = stop.rest
+        stop.penalty[:] = settings.stop_off_centre_cost * (off_centre(rest)[path] > _OFF_CENTRE)
+        better = np.where(go.passed, go.desired, -np.inf) >= np.where(stop.passed, stop.desired - stop.penalty, -np.inf)
+        return Verdict(**{k: np.where(better, v, vars(stop)[k]) for k, v in vars(go).items()})
+
+    verdict = both(everything, comfort)
+    score = np.where(verdict.passed, verdict.desired - verdict.penalty - cost, -np.inf)
     # a firmer tier counts only where comfort fails, and only if it could be better
-    could = np.minimum(field.s_max, max(start.speed, 1.0)) + preferred - settings.tier_cost
+    could = np.minimum(field.s_max, max(start.speed, 1.0)) - cost - settings.tier_cost
     todo = everything[~verdict.passed & (could > score.max())]
     if len(todo):
-        verdict = _merged(verdict, todo, _highest(field, start, todo, firm, settings))
+        verdict = _merged(verdict, todo, both(todo, firm))
     if not verdict.passed.any():
-        verdict = _merged(verdict, everything, _highest(field, start, everything, emergency, settings))
+        verdict = _merged(verdict, everything, both(everything, emergency))
     return verdict
+
+
+def _halves(n: int) -> tuple[slice, slice]:
+    return slice(0, n), slice(n, 2 * n)
 
 
 def full_brake(field: Field, start: Start, settings: PlannerSettings) -> tuple[int, Rollouts]:
@@ -64,79 +92,81 @@ def full_brake(field: Field, start: Start, settings: PlannerSettings) -> tuple[i
     return int(np.argmax(time_to_hit)), rollouts
 
 
-def _highest(field: Field, start: Start, path: Ints, tier: Tier, settings: PlannerSettings) -> Verdict:
+def _highest(field: Field, start: Start, path: Ints, holds: F64, tier: Tier, settings: PlannerSettings) -> Verdict:
+    """The highest target speed that passes on each path with its hold, both [n]."""
     n = len(path)
     # braking tiers are there to brake: no faster than now, in an emergency well below
     s_max = np.minimum(field.s_max[path], (np.inf, start.speed, 0.6 * start.speed)[tier.index])
     low, high = np.full(n, -1.0), np.full(n, 1.0)  # shares of s_max: highest passed, next that fails
+    zero = np.zeros(n)
+    none = np.zeros(n, dtype=np.intp)
     out = Verdict(
         np.zeros(n, dtype=bool),
-        np.zeros(n),
+        zero.copy(),
         np.full(n, tier.index),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n, dtype=np.intp),
-        np.zeros(n, dtype=np.intp),
-        np.zeros(n),
+        holds.copy(),
+        zero.copy(),
+        none.copy(),
+        none.copy(),
+        zero.copy(),
+        zero.copy(),
     )
-    for round_ in range(3):
-        if round_ == 0:
-            shares = np.broadcast_to(np.linspace(0.0, 1.0, _COARSE + 1), (n, _COARSE + 1))
+    for m in (_COARSE + 1, _FINE, _FINE):
+        if m > _FINE:
             rows = np.arange(n)
+            shares = np.broadcast_to(np.linspace(0.0, 1.0, m), (n, m))
         else:
             rows = np.flatnonzero(out.passed & (low < 1.0))
             if not len(rows):
                 break
-            w = np.arange(1, _FINE + 1) / (_FINE + 1)
+            w = np.arange(1, m + 1) / (m + 1)
             shares = low[rows, None] + w * (high - low)[rows, None]
-        m = shares.shape[1]
-        # for each target both holds: brake after the hold, never brake
-        k_path = np.repeat(path[rows], 2 * m)
-        k_target = np.repeat((shares * s_max[rows, None]).ravel(), 2)
-        k_hold = np.tile([settings.hold_s, np.inf], len(rows) * m)
-        r = roll_out(field, start, k_path, k_target, k_hold, tier, settings)
-        ok = r.passed.reshape(len(rows), m, 2)
-        which = np.where(ok[..., 1], 1, 0)  # going on is preferred to stopping
-        good: Bools = np.asarray(ok[..., 0] | ok[..., 1])
-        best = np.where(np.any(good, axis=1), m - 1 - np.argmax(good[:, ::-1], axis=1), -1)
-        hit = best >= 0
-        pick = np.maximum(best, 0)
+        targets = (shares * s_max[rows, None]).ravel()
+        r = roll_out(field, start, np.repeat(path[rows], m), targets, np.repeat(holds[rows], m), tier, settings)
+        good = r.passed.reshape(len(rows), m)
+        best = np.where(good.any(axis=1), m - 1 - np.argmax(good[:, ::-1], axis=1), -1)
         local = np.arange(len(rows))
-        flat = (local * m + pick) * 2 + which[local, pick]
-        up = rows[hit]
-        low[up] = shares[local, pick][hit]
+        hit = best >= 0
+        k = local[hit], best[hit]
+        up, flat = rows[hit], local[hit] * m + best[hit]
+        low[up] = shares[k]
         out.passed[up] = True
-        out.desired[up] = (shares[local, pick] * s_max[rows])[hit]
-        out.hold[up] = k_hold[flat][hit]
-        out.rest[up] = r.distance[flat, -1][hit]
-        above = np.minimum(best + 1, m - 1)
+        out.desired[up] = targets[flat]
+        out.rest[up] = r.distance[flat, -1]
         fails = best + 1 < m
-        at = (local * m + above) * 2  # the rollout that brakes after the hold
-        at = np.where(r.failure[at] > 0, at, at + 1)
-        f = rows[fails]
-        high[f] = shares[local, above][fails]
-        out.failure[f] = r.failure[at][fails]
-        out.failed_at[f] = r.failed_at[at][fails]
-        out.failed_distance[f] = r.distance[at, r.failed_at[at]][fails]
+        k = local[fails], best[fails] + 1
+        f, flat = rows[fails], local[fails] * m + best[fails] + 1
+        high[f] = shares[k]
+        out.failure[f] = r.failure[flat]
+        out.failed_at[f] = r.failed_at[flat]
+        out.failed_distance[f] = r.distance[flat, r.failed_at[flat]]
     return out
 
 
 def _merged(a: Verdict, where: Ints, b: Verdict) -> Verdict:
-    """`b` of the paths `where`, `a` of the others; where neither passes, the harder tier's failure is kept."""
-    for name in Verdict.__dataclass_fields__:
+    """`b` of the paths `where`, `a` of the others; what made the gentler tier fail is kept where `b` knows nothing."""
+    told = b.failure > 0
+    for name in ("failure", "failed_at", "failed_distance"):
+        getattr(a, name)[where[told]] = getattr(b, name)[told]
+    for name in ("passed", "desired", "tier", "hold", "rest", "penalty"):
         getattr(a, name)[where] = getattr(b, name)
     return a
 
 
-def path_cost(paths: Paths, lanes: RouteLanes, half_width: float, previous: str, settings: PlannerSettings) -> F64:
-    """What speaks against each path besides its speed [n], in m/s of desired speed."""
+def path_cost(
+    paths: Paths, lanes: RouteLanes, half_width: float, previous: str, committed: Bools, settings: PlannerSettings
+) -> F64:
+    """What speaks against each path besides its speed [n], in m/s of desired speed.
+
+    `previous` is the name of the target chosen last; `committed` [n] is the move under way, which costs no length.
+    """
     n, p = paths.x.shape
     reach = np.minimum(np.searchsorted(paths.s[0] - paths.s[0, 0], paths.length), p - 1)
     at = lanes.index(paths.s[np.arange(n), reach])
     end = paths.d[:, -1] if n == 0 else paths.d[np.arange(n), reach]
-    cost = settings.mean_offset_cost * np.abs(paths.d).mean(axis=1) + settings.end_offset_cost * np.abs(end)
-    longest = paths.length.max()
-    cost += settings.length_cost * (1.0 - paths.length / longest)
+    early = max(int(24.0 / paths.step), 2)  # what lies further ahead will be planned again
+    cost = settings.mean_offset_cost * np.abs(paths.d[:, :early]).mean(axis=1) + settings.end_offset_cost * np.abs(end)
+    cost += settings.length_cost * (1.0 - paths.length / paths.length.max()) * ~committed
     for sign, edge, side in ((1.0, lanes.own_left[at], lanes.left), (-1.0, -lanes.own_right[at], lanes.right)):
         over = sign * end + half_width - edge
         leaves = (over > settings.lane_margin) & (np.abs(end) > 0.05)

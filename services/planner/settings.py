@@ -63,10 +63,10 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     # choice of the path, in m/s of desired speed
     tier_cost: NotNegative = 6.0
     stop_off_centre_cost: NotNegative = 8.0
-    mean_offset_cost: NotNegative = 0.2  # for each metre
+    mean_offset_cost: NotNegative = 0.3  # for each metre
     end_offset_cost: NotNegative = 0.15  # for each metre
     length_cost: NotNegative = 0.05  # shortest length, falling to 0 for the longest
-    change_cost: NotNegative = 0.4  # hysteresis: another target than the one before, unless it is the reference line
+    change_cost: NotNegative = 1.0  # hysteresis: another target than the one before, unless it is the reference line
     neighbour_cost: NotNegative = 0.5  # leaving the own lane for one of the same direction
     unknown_side_cost: NotNegative = 1.5  # leaving it where no map tells what is there
     oncoming_cost: NotNegative = 4.0  # leaving it for one of the opposite direction
