@@ -17,7 +17,7 @@ from services.riskfield.settings import RiskfieldSettings
 from services.riskfield.static_layer import StaticLayer
 from tests.riskfield.scenes import random_scene, stamped
 
-SMALL = dict(ahead=24.0, ahead_most=24.0, behind=16.0, width=20.0, h=0.5, slices=3, slice_s=0.9)
+SMALL = dict(ahead=24.0, ahead_most=24.0, behind=16.0, width=20.0, h=0.5, slices=2, slice_s=1.3)
 
 
 @pytest.fixture(scope="module")
