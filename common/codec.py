@@ -259,11 +259,25 @@ def _check_array(value: Any, spec: Array, where: str, bound: dict[str, int]) -> 
         raise RefusedError("shape", f"{where}: at least {spec.least} rows, got {value.shape[0]}")
     if value.size == 0 or (value.dtype.kind == "u" and spec.high == np.inf):
         return
-    low, high = value.min(), value.max()  # NaN propagates
+    low, high = _extremes(value)
     if not (np.isfinite(low) and np.isfinite(high)):
         raise RefusedError("non_finite", where)
     if not (low >= spec.low and high <= spec.high):
         raise RefusedError("range", f"{where}: {low} … {high} outside {spec.low} … {spec.high}")
+
+
+def _extremes(value: np.ndarray[Any, Any]) -> tuple[Any, Any]:
+    """Minimum and maximum; NaN propagates.
+
+    NumPy compares float16 one by one (9 ms for a risk volume). Without a sign and below infinity, half floats are
+    ordered as their bit patterns are, which takes 0.1 ms.
+    """
+    if value.dtype.str == "<f2":
+        bits = value.view("<u2")
+        low, high = bits.min(), bits.max()
+        if high < 0x7C00:
+            return low.view("<f2"), high.view("<f2")
+    return value.min(), value.max()
 
 
 # --- MessagePack under limits ---
