@@ -422,7 +422,7 @@ def static_run(p: Volume, task: int):
 def field_kernel(p: Volume, first: int):
     """M and `dominant` of one run of one row of blocks of one slice, from task `first` on; needs `static_kernel`."""
     task = wp.tid()
-    field_run(p, first + task)
+    field_run(p, first + task)  # type: ignore[operator]
 
 
 @wp.kernel
