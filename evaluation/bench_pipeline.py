@@ -1,10 +1,11 @@
 """Does the pipeline's period follow its slowest stage rather than the sum of the stages? `forefield bench pipeline`.
 
 **Pipeline**: router and the three services as their own processes, viz off. Objects are fed as fast as they are
-accepted: a fixed number of frames is under way at any time (2 or 3, whichever is faster in a short trial), and a new
-one is sent when a plan that rests on newer risk is received; the ego comes at 50 Hz as always. The *period* is the time
-between receipts of successive such plans, so it includes codec and transport. The planner steps when new risk arrives
-(and 50 ms after its last step otherwise), so its own clock does not bound it.
+accepted: a new frame is sent once the predictor is through with the last one and no more than one is with the
+riskfield, so that no stage overwrites what it has not taken; 2 or 3 frames are under way at once (whichever is faster
+in a short trial), counted until a plan that rests on them is received. The ego comes at 50 Hz as always. The *period*
+is the time between receipts of successive such plans, so it includes codec and transport. The planner steps when new
+risk arrives (and 50 to 70 ms after its last step otherwise), so its own clock does not bound it.
 
 **One process**: the same cores on the same scene, called one after another, nothing encoded and nothing sent; blocks of
 both alternate within one run, so that both see the same machine. `stages_ms` are the medians of its stages and
@@ -28,7 +29,7 @@ from common.bus import Bus, BusSettings, open_bus
 from common.config import Tree
 from common.messages import Cause, Map, Message, Objects, Prediction, Risk, Route, Stamped
 from common.risk import RiskParameters
-from common.topics import EGO, MAP, OBJECTS, PLAN, ROUTE
+from common.topics import EGO, MAP, OBJECTS, PLAN, PREDICTION, RISK, ROUTE
 from evaluation.bench_scene import BenchScene
 from rig.launcher import SERVICES, Crew, LaunchError
 from rig.session import running
@@ -128,6 +129,7 @@ def _result(
         "frames": {"pipeline": len(feed.periods_ms), "one_process": len(alone.cycles_ms), "skipped": skipped},
         "stalls": feed.stalls,
         "in_flight": feed.in_flight,
+        "trial_period_ms": {str(n): ms for n, ms in feed.trial_ms.items()},
         "objects": objects,
         "modes": {"pipeline": modes, "one_process": alone.modes},
         "machine": {
@@ -148,7 +150,8 @@ class _Feed:
         self._ego, self._objects = bus.publisher(EGO), bus.publisher(OBJECTS)
         self.tally = Tally(bus.boot)
         self.tally.listen(bus)
-        bus.watch(PLAN, lambda *_: bus.interrupt())
+        for topic in (PREDICTION, RISK, PLAN):
+            bus.watch(topic, lambda *_: bus.interrupt())
         self._start_ns = time.monotonic_ns()
         bus.publisher(MAP).put(scene.map(), capture_ns=self._start_ns)
         bus.publisher(ROUTE).put(scene.route(), capture_ns=self._start_ns)
@@ -156,6 +159,7 @@ class _Feed:
         self._ego_ns = 0
         self.periods_ms: list[float] = []
         self.stalls = 0
+        self.trial_ms: dict[int, float] = {}
 
     def time_s(self) -> float:
         """Time of the scene: it moves on in real time."""
@@ -178,7 +182,7 @@ class _Feed:
                 self._put()
             if time.monotonic_ns() - self._ego_ns >= EGO_NS:
                 self._put_ego()
-            while self._last - max(self._seen(), goal - 1) < self.in_flight:
+            if self._last - max(self._seen(), goal - 1) < self.in_flight and self._accepted(goal):
                 self._put()
             self._bus.wait((self._ego_ns + EGO_NS - time.monotonic_ns()) * 1e-9)
         with_new = self.tally.arrivals["plan"][before:]
@@ -187,14 +191,20 @@ class _Feed:
 
     def choose(self, numbers: tuple[int, ...]) -> None:
         """Try each number of frames under way, keep the fastest; start counting anew."""
-        medians = {}
+        medians = self.trial_ms
         for self.in_flight in numbers:
             self.periods_ms.clear()
             self.block(WARM_FRAMES)
-            medians[self.in_flight] = float(np.median(self.periods_ms))
+            medians[self.in_flight] = round(float(np.median(self.periods_ms)), 3)
         self.in_flight = min(medians, key=lambda n: medians[n])
         self.periods_ms.clear()
         self.stalls = 0
+
+    def _accepted(self, goal: int) -> bool:
+        """The predictor is through with the last frame, and at most one waits in or for the riskfield."""
+        newest = self.tally.newest
+        predicted = max(newest.get("prediction", -1), goal - 1)
+        return predicted >= self._last and predicted - max(newest.get("risk", -1), goal - 1) <= 1
 
     def _seen(self) -> int:
         return self.tally.newest.get("plan", -1)
