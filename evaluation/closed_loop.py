@@ -34,6 +34,7 @@ from rig.vehicle import SimulatedVehicle
 from services.planner.core import Planner
 from services.planner.settings import PlannerSettings
 from services.predictor.core import Predictor
+from services.predictor.learned import load_learned
 from services.predictor.settings import PredictorSettings
 from services.riskfield.core import RiskField
 from services.riskfield.settings import RiskfieldSettings
@@ -70,7 +71,8 @@ class Cores:
         field_settings = config.section(tree, "riskfield", RiskfieldSettings)
         riskfield = RiskField(field_settings, risk, field_settings.device)
         riskfield.warm_up()
-        predictor = Predictor(config.section(tree, "predictor", PredictorSettings), risk)
+        settings = config.section(tree, "predictor", PredictorSettings)
+        predictor = Predictor(settings, risk, load_learned(settings, risk)[0])
         return Cores(predictor, riskfield, Planner(config.section(tree, "planner", PlannerSettings)))
 
 

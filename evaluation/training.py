@@ -67,11 +67,11 @@ class Batch:
 
 
 class Pool:
-    """Windows to draw from."""
+    """Windows to draw from, every place alike by the square root of its number of windows."""
 
     def __init__(self, data: Windows) -> None:
         self.data = data
-        groups = np.array(data.sites)[data.recording] if len(data) else np.zeros(0)
+        groups = np.array([_place(n, s) for n, s in zip(data.names, data.sites, strict=True)])[data.recording]
         _, group, count = np.unique(groups, return_inverse=True, return_counts=True)
         weight = 1.0 / np.sqrt(count)
         self.chance = weight[group] / weight[group].sum() if len(data) else np.zeros(0)
@@ -81,6 +81,11 @@ class Pool:
         """n windows with replacement."""
         rows = np.searchsorted(self._sum, rng.random(n) * self._sum[-1])
         return self.data.take(np.minimum(rows, len(self.data) - 1))
+
+
+def _place(recording: str, site: str) -> str:
+    """Generated recordings are places of their own by network (`sumo_NETWORK_…`), recorded ones by site."""
+    return "_".join(recording.split("_")[:2]) if recording.startswith("sumo_") else site
 
 
 def learnable(data: Windows) -> Windows:
@@ -142,7 +147,8 @@ def loss_of(network: Network, batch: Batch, device: str) -> torch.Tensor:
     """Weighted mean square error [m²]."""
     x, context, target, weight = (torch.from_numpy(a).to(device) for a in _arrays(batch))
     error = ((network(x, context) - target) ** 2).sum(-1)
-    return (error * weight).sum() / weight.sum().clamp(min=1e-6)
+    mean: torch.Tensor = (error * weight).sum() / weight.sum().clamp(min=1e-6)
+    return mean
 
 
 def _arrays(batch: Batch) -> tuple[F32, ...]:

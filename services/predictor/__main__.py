@@ -7,14 +7,19 @@ from common.health import Health
 from common.risk import RiskParameters
 from common.service import Idle, Inputs, Output, Service, Step, main
 from services.predictor.core import Predictor
+from services.predictor.learned import load_learned
 from services.predictor.settings import PredictorSettings
 
 
 def build(tree: config.Tree, health: Health) -> Step:
     """Wire the core to the loop."""
     settings = config.section(tree, "predictor", PredictorSettings)
-    core = Predictor(settings, config.section(tree, "risk", RiskParameters))
+    risk = config.section(tree, "risk", RiskParameters)
+    learned, said = load_learned(settings, risk)
+    core = Predictor(settings, risk, learned)
     health.detail.update(core.detail)
+    if said:
+        health.detail["network"] = said
 
     def step(inputs: Inputs) -> Output | Idle:
         objects = inputs.fresh(topics.OBJECTS)

@@ -21,7 +21,6 @@ from common.messages import (
     Ego,
     Map,
     Method,
-    ObjectClass,
     Objects,
     Prediction,
     Stamped,
@@ -30,15 +29,11 @@ from services.predictor.history import Bool, Frames, Tracks, frames, observe
 from services.predictor.kinematic import Motion, State, constant_velocity, ctra, estimate
 from services.predictor.lanes import LaneIndex, Match
 from services.predictor.map_based import map_based
-from services.predictor.selection import Choice, Known, Learned, choose, full_history, kinematic_method
+from services.predictor.selection import DRIVES_ON_LANES, Choice, Known, Learned, choose, full_history, kinematic_method
 from services.predictor.settings import PredictorSettings
 
 if TYPE_CHECKING:
     from common.risk import RiskParameters
-
-# two-wheelers leave their lane too readily: kinematic prediction measured better for them
-_DRIVES_ON_LANES = np.zeros(len(ObjectClass), dtype=bool)
-_DRIVES_ON_LANES[[ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS]] = True
 
 
 class Predictor:
@@ -72,10 +67,14 @@ class Predictor:
         history = frames(tracks, seen.id)
         state = estimate(seen, history, settings.kinematic)
         match, on_lane = self._match(seen, state, map)
-        known = Known(on_lane, full_history(history), seen.cls, kinematic_method(state, seen.cls))
+        full = full_history(history)
+        if self._learned is not None:
+            self._learned.observe(seen, history, ego, objects.capture_ns)
+            full &= self._learned.classes[seen.cls]
+        known = Known(on_lane, full, seen.cls, kinematic_method(state, seen.cls))
         choice = choose(settings.policy, known, self._learned is not None)
         self.detail = _detail(settings.policy, choice)
-        motion = self._predict(seen, ego, history, state, match, choice)
+        motion = self._predict(seen, history, state, match, choice)
         return _prediction(seen, state, history, motion, choice, settings.past_frames)
 
     def _match(self, objects: Objects, state: State, map: Map | None) -> tuple[Match | None, Bool]:
@@ -84,12 +83,11 @@ class Predictor:
         if self._lanes is None:
             return None, np.zeros(len(objects.id), dtype=bool)
         match = self._lanes.match(state, self.settings.map)
-        return match, (match.lane >= 0) & _DRIVES_ON_LANES[objects.cls]
+        return match, (match.lane >= 0) & DRIVES_ON_LANES[objects.cls]
 
     def _predict(
         self,
         objects: Objects,
-        ego: Stamped[Ego] | None,
         history: Frames,
         state: State,
         match: Match | None,
@@ -105,7 +103,7 @@ class Predictor:
             _put(motion, rows, map_based(state.take(rows), match.take(rows), lanes, settings.map, settings.kinematic))
         rows = choice.method == Method.LSTM
         if rows.any() and self._learned is not None:
-            _put(motion, rows, self._learned.predict(objects, history, ego, rows))
+            _put(motion, rows, self._learned.predict(objects, history, state, rows))
         return motion
 
 

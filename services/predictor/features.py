@@ -109,7 +109,7 @@ def context(cls: U8, length: F64, velocity: F64) -> F32:
 def gate(speed: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """The stop gate: 0 for what stands, 1 from 1 m/s on; `speed` is the current one [m/s]."""
     low, high = GATE_MPS
-    return np.clip((speed - low) / (high - low), 0.0, 1.0)
+    return np.asarray(np.clip((speed - low) / (high - low), 0.0, 1.0))
 
 
 def basis() -> F32:

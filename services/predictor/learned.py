@@ -9,21 +9,43 @@ the predicted positions; speeds are their steps.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import torch
 
 from common.geometry import wrap_angle
-from common.messages import F32, F64, FRAME_S, Ego, ObjectClass, Objects, Stamped
+from common.messages import F32, F64, FRAME_S, U8, Ego, ObjectClass, Objects, Stamped
 from common.risk import RiskParameters
 from services.predictor import features, signals
 from services.predictor.history import Bool, Frames
 from services.predictor.kinematic import Motion, State, constant_velocity
+from services.predictor.selection import LEARNED_POLICIES
+from services.predictor.settings import PredictorSettings
 from services.predictor.surrounding_risk import VELOCITY_STEPS
-from services.predictor.weights import Loaded
+from services.predictor.weights import SHIPPED, Loaded, WeightsError, load
 
 GAP_NS = 1_000_000_000
 COURSE_MPS = 0.5
 """Predicted speed below which the heading is held [m/s]."""
+
+
+def load_learned(settings: PredictorSettings, risk: RiskParameters) -> tuple[LearnedPredictor | None, str]:
+    """The predictor that the policy asks for, warmed up; otherwise None and the reason for the status.
+
+    An empty reason: the policy wants no network. One thread: more of them only disturb the other services.
+    """
+    if settings.policy not in LEARNED_POLICIES:
+        return None, ""
+    torch.set_num_threads(1)
+    chosen = settings.learned
+    try:
+        loaded = load(Path(chosen.weights) if chosen.weights else SHIPPED, chosen.network)
+    except WeightsError as e:
+        return None, f"refused, kinematic instead: {e}"
+    learned = LearnedPredictor(loaded, risk)
+    learned.warm_up()
+    return learned, loaded.name
 
 
 class LearnedPredictor:
@@ -63,7 +85,7 @@ class LearnedPredictor:
         )
 
 
-def motion_of(loaded: Loaded, x: F64, y: F64, cls: np.ndarray, length: F64, around: F32, state: State) -> Motion:  # type: ignore[type-arg]
+def motion_of(loaded: Loaded, x: F64, y: F64, cls: U8, length: F64, around: F32, state: State) -> Motion:
     """Motion of n objects from histories [n, 30] (newest first) and signals [n, 30, SIGNALS]."""
     frame = features.OwnFrame.of(x, y, state.heading)
     own = frame.into(x, y)

@@ -69,11 +69,14 @@ class SelfAttention(nn.Module):
         """Shape [n, 30, width] in and out."""
         q, k, v = self.project(h).chunk(3, dim=-1)
         weights = torch.softmax(q @ k.transpose(1, 2) * self.scale, dim=-1)
-        return h + weights @ v
+        attended: Tensor = h + weights @ v
+        return attended
 
 
 class Network(nn.Module):
     """Encoder, self-attention and the decoder of the chosen form."""
+
+    basis: Tensor
 
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()

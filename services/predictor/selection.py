@@ -22,11 +22,22 @@ from services.predictor.history import Bool, Frames
 from services.predictor.kinematic import Motion, State
 from services.predictor.settings import Policy
 
+DRIVES_ON_LANES: Bool = np.isin(np.arange(len(ObjectClass)), (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS))
+"""By class: who is predicted along lanes. Two-wheelers leave theirs too readily: kinematic measured better for them."""
+
 
 class Learned(Protocol):
     """A learned predictor."""
 
-    def predict(self, objects: Objects, frames: Frames, ego: Stamped[Ego] | None, wanted: Bool) -> Motion:
+    name: str
+    classes: Bool
+    """By class: whether it may be used."""
+
+    def observe(self, objects: Objects, frames: Frames, ego: Stamped[Ego] | None, capture_ns: int) -> None:
+        """See every message, also where nothing is to be predicted."""
+        ...
+
+    def predict(self, objects: Objects, frames: Frames, state: State, wanted: Bool) -> Motion:
         """Motion of the objects where `wanted` (each with 30 frames of history), one row for each of these."""
         ...
 
@@ -37,7 +48,7 @@ class Known:
 
     on_lane: Bool
     full: Bool
-    """30 frames of history."""
+    """30 frames of history, and of a class that the learned predictor speaks for."""
     cls: U8
     kinematic: U8
     """CTRA or CONSTANT_VELOCITY."""
@@ -86,6 +97,10 @@ POLICIES: dict[Policy, Callable[[Known], U8]] = {
     "map-first": map_first,
     "kinematic": kinematic,
 }
+
+
+LEARNED_POLICIES: tuple[Policy, ...] = ("paper", "learned-first")
+"""Policies that ask for a network."""
 
 
 def kinematic_method(state: State, cls: U8) -> U8:

@@ -83,6 +83,15 @@ class MapSettings(Settings, frozen=True, kw_only=True):
     """The last second's motion decides at branches that are nearer than this; farther ones are taken straight [s]."""
 
 
+class LearnedSettings(Settings, frozen=True, kw_only=True):
+    """Which network the learned policies use."""
+
+    weights: Annotated[str, Meta(max_length=1000)] = ""
+    """Folder of weights with its `model.json`; empty: the shipped ones."""
+    network: Annotated[str, Meta(max_length=64)] = ""
+    """Its name in the card, such as `lstm_paper`; empty: the card's default."""
+
+
 class PredictorSettings(Settings, frozen=True, kw_only=True):
     """Section `[predictor]`."""
 
@@ -93,3 +102,4 @@ class PredictorSettings(Settings, frozen=True, kw_only=True):
     history: HistorySettings = HistorySettings()
     kinematic: KinematicSettings = KinematicSettings()
     map: MapSettings = MapSettings()
+    learned: LearnedSettings = LearnedSettings()

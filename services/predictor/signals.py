@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.messages import F32, FRAME_S, HISTORY_FRAMES, I64, Ego, ObjectClass, Objects
+from common.messages import F32, F64, FRAME_S, HISTORY_FRAMES, I64, U8, Ego, ObjectClass, Objects
 from common.risk import RiskParameters
 from services.predictor.history import Frames
 from services.predictor.leader import LEADER_SIGNALS, leader_signals
@@ -53,8 +53,8 @@ def scene_of(objects: Objects, frames: Frames, ego: Ego | None) -> Scene:
     vx, vy = backward_velocity(frames.x, frames.y, frames.steps)
     me = [] if ego is None else [ego]
 
-    def with_ego(values: np.ndarray, ego_values: list[float]) -> np.ndarray:  # type: ignore[type-arg]
-        return np.concatenate((values, ego_values)) if ego_values else values
+    def with_ego(values: F64 | U8, ego_values: list[float]) -> F64:
+        return np.concatenate((values, ego_values)).astype(np.float64)
 
     return Scene(
         x=with_ego(objects.x, [e.x for e in me]),
@@ -70,7 +70,9 @@ def scene_of(objects: Objects, frames: Frames, ego: Ego | None) -> Scene:
 
 
 def observed(samples: Samples, capture_ns: int, ids: I64, values: F32, gap_ns: int) -> Samples:
-    """Add one sample; after a jump of the clock or a gap longer than `gap_ns` everything starts anew."""
+    """Add one sample; one before the last is ignored; after a gap longer than `gap_ns` everything starts anew."""
+    if samples and -gap_ns <= capture_ns - samples[-1].capture_ns < 0:
+        return samples
     order = np.argsort(ids, kind="stable")
     new = Sample(capture_ns, ids[order], values[order])
     if samples and not 0 <= capture_ns - samples[-1].capture_ns <= gap_ns:

@@ -167,7 +167,13 @@ def test_policies_choose_as_they_say_and_fall_back_truthfully(policy, on_lane, f
 
 def test_a_learned_predictor_is_asked_where_the_policy_wants_it():
     class Still:
-        def predict(self, objects, frames, ego, wanted):
+        name = "still"
+        classes = np.ones(7, dtype=bool)
+
+        def observe(self, objects, frames, ego, capture_ns):
+            pass
+
+        def predict(self, objects, frames, state, wanted):
             n = int(wanted.sum())
             x, y = (np.repeat(a[wanted][:, None], 60, axis=1) for a in (objects.x, objects.y))
             return Motion(x, y, np.zeros((n, 60)), np.zeros((n, 60)))
