@@ -118,6 +118,16 @@ class Health:
             self._work.append(work_ns * 1e-6)
 
     @property
+    def state(self) -> State:
+        """What was said last."""
+        return self._state
+
+    @property
+    def reason(self) -> str:
+        """And why."""
+        return self._reason
+
+    @property
     def turning(self) -> bool:
         """Whether the loop turns, or the service is still starting."""
         return self._state == "starting" or (self._clock() - self._turned_ns) * 1e-9 < STALL_S

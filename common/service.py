@@ -9,42 +9,27 @@ a new one.
 from __future__ import annotations
 
 import logging
-import os
-import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from common import config
 from common.bus import Bus, BusSettings, Inbox, NoRouterError, Publisher, open_bus
 from common.clock import monotonic
 from common.codec import RefusedError
-from common.config import ConfigError, Settings, Tree
+from common.config import ConfigError, Tree
 from common.health import Health
 from common.messages import Cause, Message, Stamped, State
+from common.process import Ending, ServiceSettings, reporting
 from common.topics import STATUS_OF, Topic
 
 log = logging.getLogger("forefield")
 
-EXIT_DEADLINE_S = 2.5
-"""After SIGTERM the process is gone this much later, whatever hangs [s]."""
-
 
 class FatalError(Exception):
     """The process cannot go on and must be restarted by its supervisor."""
-
-
-class ServiceSettings(Settings, frozen=True):
-    """Section `[service]`, the same for every service."""
-
-    heartbeat: str = ""
-    """File touched while the loop turns, for the container's healthcheck; empty: none."""
-    status_hz: float = 2.0
-    """Rate of the status message [Hz]."""
-    log_level: str = "INFO"
 
 
 @dataclass(frozen=True)
@@ -126,40 +111,24 @@ def main(service: Service) -> int:
 
 def run(service: Service, tree: Tree, settings: ServiceSettings) -> int:
     """Open the bus, warm up, loop until SIGTERM or Ctrl-C."""
-    stop = threading.Event()
+    ending = Ending()
     health = Health(service.name, monotonic)
-    wake: list[Bus] = []
-
-    def end(*_: object) -> None:
-        stop.set()
-        for bus in wake:
-            bus.interrupt()
-        leave = threading.Timer(EXIT_DEADLINE_S, os._exit, (0,))
-        leave.daemon = True
-        leave.start()
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, end)
     bus_settings = config.section(tree, "bus", BusSettings)
-    with open_bus(bus_settings, config.vehicle(tree), service.name, health=health, stop=stop) as bus:
-        wake.append(bus)
+    with open_bus(bus_settings, config.vehicle(tree), service.name, health=health, stop=ending.stop) as bus:
+        ending.wakes(bus)
         inboxes = {t.suffix: bus.inbox(t) for t in service.subscribes}
-        output, status = bus.publisher(service.publishes), bus.publisher(STATUS_OF[service.name])
+        output = bus.publisher(service.publishes)
         bus.liveliness(service.name)
-        reporter = threading.Thread(target=_report, args=(health, status, settings, stop), daemon=True)
-        reporter.start()
         health.say("starting", "warming up")
-        try:
-            step = service.build(tree, health)
-            log.info("ready, vehicle %r", bus.vehicle)
-            _loop(service, bus, health, inboxes, output, step, stop)
-        except FatalError as e:
-            log.critical("fatal: %s", e)
-            return 1
-        finally:
-            stop.set()
-            health.say("stopping", "asked to stop")
-            reporter.join(timeout=1.0)
+        with reporting(health, bus.publisher(STATUS_OF[service.name]), settings):
+            try:
+                step = service.build(tree, health)
+                log.info("ready, vehicle %r", bus.vehicle)
+                _loop(service, bus, health, inboxes, output, step, ending.stop)
+            except FatalError as e:
+                log.critical("fatal: %s", e)
+                health.say("stopping", f"fatal: {e}")
+                return 1
     return 0
 
 
@@ -205,20 +174,3 @@ def _step(service: Service, health: Health, output: Publisher, step: Step, input
         health.detail["last_error"] = result.reason
     if health.say(result.state, result.reason):
         log.info("%s: %s", result.state, result.reason)
-
-
-def _report(health: Health, status: Publisher, settings: ServiceSettings, stop: threading.Event) -> None:
-    heartbeat = Path(settings.heartbeat) if settings.heartbeat else None
-    while True:
-        if heartbeat is not None and health.turning:
-            try:
-                heartbeat.touch()
-            except OSError as e:
-                log.warning("heartbeat: %s", e)
-                heartbeat = None
-        try:
-            status.put(health.status(), capture_ns=monotonic())
-        except Exception:  # a report must not end the reports
-            log.exception("status not sent")
-        if stop.wait(1.0 / settings.status_hz):
-            return

@@ -81,6 +81,7 @@ def run(
         world = load_scenario(
             scenario, seed=seed, ego_track=ego_track, settings=config.section(tree, "rig", RigSettings)
         )
+        tree = configuration.with_keys(tree, "viz", scenario=f"{world.name}: {world.title}")
         for warning in world.warnings:
             _say(f"[yellow]warning[/] {escape(warning)}")
         options = session.Options(duration, attach, loop, logs)

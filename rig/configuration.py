@@ -11,7 +11,7 @@ from common import config
 from common.bus import BusSettings
 from common.config import ConfigError, Settings, Tree
 from common.risk import RiskParameters
-from common.service import ServiceSettings
+from common.process import ServiceSettings
 from common.topics import checked_vehicle
 from rig.settings import RigSettings
 from services.planner.settings import PlannerSettings

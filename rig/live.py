@@ -95,6 +95,7 @@ class LiveRun:
         if self.scenario.map is not None:
             self._latched["map"].put(self.scenario.map, capture_ns=now)
         self._latched["route"].put(self.scenario.route, capture_ns=now)
+        self.bus.health.say("ready", f"plays {self.scenario.name}")
         self._settle(check, show)
         self._play(duration_s, check, show)
 
@@ -171,6 +172,7 @@ class LiveRun:
     def _publish(self, k: int, t: float, due_ns: int, ego: Ego, objects: Objects) -> None:
         """Everything carries the time at which it is due: what the rig is late is part of its age."""
         self._ego.put(ego, capture_ns=due_ns)
+        self.bus.health.turned()
         if k % self._every:
             return
         closures = self.scenario.closures_at(t)

@@ -12,6 +12,8 @@ from typing import Any
 from common import config
 from common.bus import BusSettings, open_bus, router
 from common.config import ConfigError, Tree
+from common.process import ServiceSettings, reporting
+from common.topics import STATUS_OF
 from rig.configuration import with_keys
 from rig.launcher import SERVICES, UP, Crew, LaunchError, launch
 from rig.live import LiveRun, Moment
@@ -102,7 +104,11 @@ def _drive(
     rig = config.section(tree, "rig", RigSettings)
     duration = scenario.duration_s if options.duration_s is None else min(options.duration_s, scenario.duration_s)
     bus_settings = config.section(tree, "bus", BusSettings)
-    with open_bus(bus_settings, config.vehicle(tree), "rig", wait_s=rig.ready_timeout_s) as bus:
+    service = config.section(tree, "service", ServiceSettings)
+    with (
+        open_bus(bus_settings, config.vehicle(tree), "rig", wait_s=rig.ready_timeout_s) as bus,
+        reporting(bus.health, bus.publisher(STATUS_OF["vehicle"]), service),
+    ):
         statuses = Statuses(bus, SERVICES if crew is None else [c.name for c in crew.children])
         live = LiveRun(bus, scenario, rig, statuses)
         failures: list[str] = []

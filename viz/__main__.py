@@ -1,0 +1,108 @@
+"""viz as a process: everything on the bus, drawn into a recording. Nothing waits for it.
+
+`python -m viz [--record OUT.rrd] [--serve PORT] [--scenario NAME]`
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from common import config, topics
+from common.bus import Bus, BusSettings, Inbox, NoRouterError, open_bus
+from common.clock import monotonic
+from common.config import ConfigError, Tree
+from common.health import Health
+from common.messages import Stamped
+from common.process import Ending, ServiceSettings, reporting
+from viz.blueprint import blueprint
+from viz.scene import Scene
+from viz.settings import VizSettings
+from viz.sinks import SinkError, log_about, recording
+
+log = logging.getLogger("forefield")
+
+TURN_S = 0.25
+"""Longest wait before a look at who has fallen silent [s]."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Record and serve what the services see and decide, until SIGTERM or Ctrl-C."""
+    parser = argparse.ArgumentParser(prog="python -m viz", description=main.__doc__)
+    parser.add_argument("--record", metavar="OUT.rrd", help="file to write (setting viz.record)")
+    parser.add_argument("--serve", type=int, metavar="PORT", help="port for a live viewer (setting viz.serve)")
+    parser.add_argument("--scenario", metavar="NAME", help="name stored in the recording (setting viz.scenario)")
+    options = parser.parse_args(arguments)
+    try:
+        tree = config.load()
+        service = config.section(tree, "service", ServiceSettings)
+        settings = config.section(tree, "viz", VizSettings)
+        given = {k: v for k in ("record", "serve", "scenario") if (v := getattr(options, k)) is not None}
+        settings = msgspec.structs.replace(settings, **given)
+        logging.basicConfig(
+            level=service.log_level, stream=sys.stderr, format="%(asctime)s viz %(levelname)s %(message)s"
+        )
+        return run(tree, service, settings)
+    except NoRouterError as e:
+        log.info("stopped: %s", e)
+        return 0
+    except (ConfigError, SinkError, OSError, ValueError) as e:
+        print(f"viz: {e}", file=sys.stderr)
+        return 2
+
+
+def run(tree: Tree, service: ServiceSettings, settings: VizSettings) -> int:
+    """Open the bus and the recording, draw until told to stop."""
+    ending = Ending()
+    health = Health("viz", monotonic)
+    bus_settings = config.section(tree, "bus", BusSettings)
+    with open_bus(bus_settings, config.vehicle(tree), "viz", health=health, stop=ending.stop) as bus:
+        ending.wakes(bus)
+        bus.liveliness("viz")
+        with (
+            reporting(health, bus.publisher(topics.STATUS_OF["viz"]), service),
+            recording(settings, settings.scenario, blueprint()) as rec,
+        ):
+            log_about(rec, settings.scenario, tree, settings)
+            _draw(bus, health, Scene(rec, settings), ending.stop)
+    return 0
+
+
+def _draw(bus: Bus, health: Health, scene: Scene, stop: threading.Event) -> None:
+    # in the order in which one message needs another: objects begin a frame, a plan looks for its volume
+    order: list[tuple[Inbox, Callable[[Stamped[Any]], None]]] = [
+        (bus.inbox(topics.MAP), scene.map),
+        (bus.inbox(topics.ROUTE), scene.route),
+        (bus.inbox(topics.CLOSURES), scene.closures),
+        (bus.inbox(topics.EGO), scene.ego),
+        (bus.inbox(topics.OBJECTS), scene.objects),
+        (bus.inbox(topics.PREDICTION), scene.prediction),
+        (bus.inbox(topics.RISK), scene.risk),
+        (bus.inbox(topics.PLAN), scene.plan),
+        *((bus.inbox(topic), scene.status) for name, topic in topics.STATUS_OF.items() if name != "viz"),
+    ]
+    health.say("ready", "drawing")
+    while not stop.is_set():
+        bus.wait(TURN_S)
+        health.turned()
+        for inbox, draw in order:
+            stamped = inbox.take()
+            if stamped is None:
+                continue
+            try:
+                draw(stamped)
+            except Exception as e:
+                health.count(f"{inbox.topic.suffix}:draw_{type(e).__name__}")
+                health.detail["last_error"] = f"{inbox.topic.suffix}: {type(e).__name__}: {e}"
+                log.exception("%s not drawn", inbox.topic.suffix)
+        scene.silence(monotonic())
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

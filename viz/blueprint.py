@@ -1,0 +1,118 @@
+"""What a viewer shows when it opens a recording: stored in the recording itself."""
+
+from __future__ import annotations
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from viz.colours import GROUND
+
+EGO = "world/ego"
+"""Every spatial view is drawn in the ego's frame: it drives to the right, and left of it is up."""
+
+WINDOW_S = 20.0
+
+
+def blueprint() -> rrb.Blueprint:
+    """The one layout: where things are on the left, what they mean along time on the right."""
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                bird(
+                    "Now, from above · the ego drives to the right",
+                    ["+ world/**", "- world/map/virtual_line"],
+                    (46.0, -3.0),
+                    64.0,
+                ),
+                rrb.Horizontal(
+                    bird(
+                        "The slice that decided · everyone where predicted",
+                        ["+ slice/**", "+ world/map/**", "+ world/plan/profile", "- world/map/virtual_line"],
+                        (38.0, 0.0),
+                        62.0,
+                    ),
+                    stack(),
+                    column_shares=[1, 1],
+                ),
+                rrb.Horizontal(
+                    rrb.StateTimelineView(origin="state", name="Mode of the plan, health of the services"),
+                    rrb.TextLogView(origin="log", name="Log: what changed, and why"),
+                    column_shares=[1, 1],
+                ),
+                row_shares=[5, 4, 2],
+            ),
+            rrb.Vertical(
+                rrb.Tabs(
+                    rrb.TextDocumentView(origin="why", name="Why"),
+                    rrb.TextDocumentView(origin="health", name="Health"),
+                    rrb.TextDocumentView(origin="about", name="About"),
+                    active_tab=0,
+                ),
+                series("plot/speed", "Speed [m/s]"),
+                series("plot/acceleration", "Acceleration [m/s²]"),
+                series("plot/max_risk", "Highest risk on the path, by slice [E_max]"),
+                series("plot/latency", "Latency [ms]"),
+                row_shares=[4, 2, 2, 2, 2],
+            ),
+            column_shares=[5, 2],
+        ),
+        rrb.TimePanel(state="collapsed", timeline="frame"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def bird(name: str, contents: list[str], centre: tuple[float, float], height: float) -> rrb.Spatial3DView:
+    """A view from straight above, in the ego's frame; `height` [m] sets how much is seen."""
+    return rrb.Spatial3DView(
+        origin=EGO,
+        contents=contents,
+        name=name,
+        background=rrb.Background(color=GROUND, kind="SolidColor"),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(centre[0], centre[1], height),
+            look_target=(centre[0], centre[1], 0.0),
+            eye_up=(0.0, 1.0, 0.0),
+        ),
+    )
+
+
+def stack() -> rrb.Spatial3DView:
+    """The slices one above the other, seen from behind and from the right."""
+    return rrb.Spatial3DView(
+        origin=EGO,
+        contents=[
+            "+ stack/**",
+            "+ world/map/**",
+            "+ world/ego/body",
+            "- world/map/surface",
+            "- world/map/virtual_line",
+        ],
+        name="Time stack · up is later",
+        background=rrb.Background(color=GROUND, kind="SolidColor"),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(-45.0, -75.0, 75.0),
+            look_target=(45.0, 0.0, 12.0),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+    )
+
+
+def series(origin: str, name: str) -> rrb.TimeSeriesView:
+    """Curves of the last seconds, up to the time shown."""
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
+        time_ranges=rr.VisibleTimeRange(
+            "t",
+            start=rr.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
+            end=rr.TimeRangeBoundary.cursor_relative(),
+        ),
+    )

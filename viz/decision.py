@@ -1,0 +1,196 @@
+"""The plan: candidates, the chosen path, its tail, and the cell that decided."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from common.geometry import rectangle_corners
+from common.messages import U8, Candidates, Ego, Plan, Prediction, Risk, Trajectory
+from viz.canvas import F32, Canvas, yaw
+from viz.colours import CLASS_HEIGHTS, CLASS_NAMES, GREEN, PURPLE, VERMILION, WHITE, of_class, of_speed
+from viz.field import GROUND_OPACITY, GROUND_Z, coarser, heatmap
+
+PATH_Z, TAIL_Z, CANDIDATE_Z = 0.30, 0.25, 0.12
+
+
+def log_candidates(canvas: Canvas, candidates: Candidates | None, points: int, top: float) -> None:
+    """Log every candidate, coloured by its desired speed."""
+    if candidates is None or candidates.x.shape[1] < 2:
+        canvas.log("world/plan/candidates", rr.LineStrips3D([]))
+        return
+    k = np.unique(np.linspace(0, candidates.x.shape[1] - 1, points).round().astype(int))
+    order = np.argsort(candidates.desired_speed, kind="stable")  # the fast ones are drawn over the slow ones
+    canvas.log(
+        "world/plan/candidates",
+        rr.LineStrips3D(
+            canvas.points(candidates.x[order][:, k], candidates.y[order][:, k], CANDIDATE_Z),
+            colors=of_speed(candidates.desired_speed[order], top),
+            radii=0.06,
+        ),
+    )
+
+
+def log_path(canvas: Canvas, plan: Plan, lift: float, offset_s: float) -> None:
+    """Log what is to be driven: the profile wide, the stopping tail beside it; on the ground and in the time stack.
+
+    Args:
+        canvas: where to draw.
+        plan: the plan.
+        lift: height of one second in the stack [m/s].
+        offset_s: the plan's capture, counted from the time at which the stack's lowest layer lies [s].
+    """
+    for name, path, colour, z, radius in (
+        ("profile", plan.profile, GREEN, PATH_Z, 0.38),
+        ("tail", plan.tail, PURPLE, TAIL_Z, 0.20),
+    ):
+        if path is None or len(path.t) < 2:
+            canvas.log(f"world/plan/{name}", rr.LineStrips3D([]))
+            canvas.log(f"stack/plan/{name}", rr.LineStrips3D([]))
+            continue
+        z_stack = np.maximum(path.t + offset_s, 0.0) * lift + 0.2
+        for place, height, r in (("world", z, radius), ("stack", z_stack, radius * 1.3)):
+            strip = canvas.points(path.x, path.y, height)
+            canvas.log(f"{place}/plan/{name}", rr.LineStrips3D([strip], colors=[colour], radii=[r]))
+
+
+def log_decision(canvas: Canvas, plan: Plan, lift: float, offset_s: float) -> None:
+    """Mark the cell that decided, with the sentence beside it, on the ground and at its height in the stack."""
+    decision = plan.decision
+    places = ("world/plan/decided", "stack/plan/decided", "slice/decided")
+    if decision is None or decision.x is None or decision.y is None:
+        for path in places:
+            canvas.log(path, rr.Points3D([]))
+        return
+    height = max((decision.slice_s or 0.0) + offset_s, 0.0) * lift + 0.5
+    for path, z in zip(places, (0.6, height, 0.6), strict=True):
+        canvas.log(
+            path,
+            rr.Points3D(
+                [canvas.points(decision.x, decision.y, z)],
+                radii=[0.7],
+                colors=[VERMILION],
+                labels=[wrapped(decision.sentence)],
+                show_labels=path != "world/plan/decided" or not decision.slice,
+            ),
+        )
+
+
+def log_decided_slice(
+    canvas: Canvas, plan: Plan, plan_ns: int, risk: Risk, risk_ns: int, volume: U8, ego: Ego | None,
+    prediction: Prediction | None,
+) -> None:  # fmt: skip
+    """Log the slice that decided: its field, everyone where they are predicted to be then, and the ego where it will be.
+
+    Without a deciding slice it is the one with the highest risk on the chosen path, or the first.
+
+    Args:
+        canvas: where to draw.
+        plan: the plan.
+        plan_ns: its capture [ns].
+        risk: the volume it rests on.
+        risk_ns: that volume's capture [ns].
+        volume: the volume as bytes.
+        ego: our own size.
+        prediction: the predictions behind the volume, if known.
+    """
+    j = deciding_slice(plan, len(risk.slice_times))
+    t = risk.slice_times[j]
+    grid = risk.grid
+    corner = canvas.points(grid.x, grid.y, GROUND_Z)
+    canvas.log("slice/risk", heatmap(coarser(volume[j], 1), corner, grid.heading, grid.h, GROUND_OPACITY))
+    if prediction is not None and len(prediction.id):
+        x, y, heading = poses_at(prediction, t + risk.t_offset)
+        height = np.array([CLASS_HEIGHTS[int(c)] for c in prediction.cls])
+        canvas.log(
+            "slice/objects",
+            rr.Boxes3D(
+                centers=canvas.points(x, y, height / 2),
+                half_sizes=np.stack((prediction.length / 2, prediction.width / 2, height / 2), -1).astype(np.float32),
+                quaternions=yaw(heading),
+                colors=of_class(prediction.cls),
+                radii=0.07,
+                labels=[f"{CLASS_NAMES[int(c)]} {i}" for c, i in zip(prediction.cls, prediction.id, strict=True)],
+                show_labels=len(prediction.id) <= 12,
+            ),
+        )
+    else:
+        canvas.log("slice/objects", rr.Boxes3D(half_sizes=[], centers=[]))
+    strips: list[F32] = []
+    labels: list[str] = []
+    if plan.profile is not None and len(plan.profile.t) and ego is not None:
+        ahead = t + risk.t_offset + (risk_ns - plan_ns) * 1e-9
+        box = footprint(canvas, plan.profile, max(ahead, 0.0), ego)
+        strips, labels = [box], [f"ego in {max(ahead, 0.0):.1f} s"]
+    canvas.log(
+        "slice/ego", rr.LineStrips3D(strips, colors=[WHITE], radii=[0.14], labels=labels or None, show_labels=True)
+    )
+
+
+def deciding_slice(plan: Plan, n: int) -> int:
+    """Index of the slice that decided, or that with the highest risk on the path, or 0; always below n."""
+    if plan.decision is not None and plan.decision.slice is not None:
+        return int(np.clip(plan.decision.slice, 0, n - 1))
+    if plan.slice_risk is not None and len(plan.slice_risk.risk):
+        return min(int(np.argmax(plan.slice_risk.risk)), n - 1)
+    return 0
+
+
+def poses_at(prediction: Prediction, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Predicted centres [m] and headings [rad] t seconds after the prediction's capture, by the nearest frame."""
+    i = round(t / 0.1) - 1
+    if i < 0:
+        return prediction.x0, prediction.y0, prediction.heading0
+    i = min(i, prediction.x.shape[1] - 1)
+    return prediction.x[:, i], prediction.y[:, i], prediction.heading[:, i]
+
+
+def footprint(canvas: Canvas, path: Trajectory, t: float, ego: Ego) -> F32:
+    """Outline of the ego t seconds along a path, closed, shape [5, 3]."""
+    x, y = np.interp(t, path.t, path.x), np.interp(t, path.t, path.y)
+    heading = np.interp(t, path.t, np.unwrap(path.heading))
+    corners = rectangle_corners(x, y, heading, ego.length, ego.width)[[0, 1, 2, 3, 0]]
+    return canvas.points(corners[:, 0], corners[:, 1], 0.4)
+
+
+def wrapped(sentence: str, width: int = 56) -> str:
+    """Break a sentence into lines that fit beside a point."""
+    lines: list[str] = [""]
+    for word in sentence.split():
+        if lines[-1] and len(lines[-1]) + len(word) >= width:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return "\n".join(lines)
+
+
+def story(plan: Plan, ego: Ego | None, limit: float | None) -> str:
+    """What the vehicle does now and why, as Markdown."""
+    mode = {"drive": "Driving", "waiting": "Waiting", "safe_stop": "**Safe stop**"}[plan.mode]
+    lines = [f"### {mode}", plan.reason, ""]
+    decision = plan.decision
+    if decision is not None:
+        lines += [f"**What decided:** {decision.sentence}", ""]
+    lines += ["| | |", "|:--|:--|"]
+    if ego is not None:
+        lines.append(f"| speed | {ego.speed:.1f} m/s |")
+    lines.append(f"| desired speed | {plan.desired_speed:.1f} m/s |")
+    if limit is not None:
+        lines.append(f"| limit | {limit:.1f} m/s |")
+    if decision is not None:
+        if decision.risk is not None:
+            lines.append(f"| risk that decided | {decision.risk:.2f} |")
+        if decision.slice is not None:
+            when = "" if decision.slice_s is None else f", from {decision.slice_s:.1f} s ahead"
+            lines.append(f"| slice | {decision.slice}{when} |")
+        if decision.cell is not None:
+            lines.append(f"| cell (i, j) | {decision.cell[0]}, {decision.cell[1]} |")
+        if decision.source_id is not None:
+            kind = CLASS_NAMES.get(decision.source_cls, "line") if decision.source_cls is not None else "source"
+            lines.append(f"| source | {kind} {decision.source_id} |")
+        if decision.term is not None:
+            lines.append(f"| term | {decision.term} |")
+    if plan.candidates is not None:
+        lines.append(f"| path | {plan.chosen} of {len(plan.candidates.desired_speed)} |")
+    if plan.planner:
+        lines.append(f"| planner | {plan.planner} |")
+    return "\n".join(lines)

@@ -1,0 +1,132 @@
+"""Curves, states and text: everything that is read along time."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import rerun as rr
+
+from common.messages import Plan, Status
+from viz.canvas import Canvas
+from viz.colours import GREEN, ORANGE, PURPLE, SKY, VERMILION, WHITE, YELLOW, Colour, of_slice
+
+SERIES: dict[str, tuple[str, Colour, float]] = {
+    "plot/speed/ego": ("speed", WHITE, 2.0),
+    "plot/speed/desired": ("desired speed", GREEN, 1.5),
+    "plot/speed/limit": ("limit", VERMILION, 1.0),
+    "plot/acceleration/ego": ("acceleration", WHITE, 1.5),
+    "plot/acceleration/planned": ("planned acceleration", GREEN, 1.0),
+    "plot/latency/predictor": ("predictor", SKY, 1.0),
+    "plot/latency/riskfield": ("riskfield", ORANGE, 1.0),
+    "plot/latency/planner": ("planner", GREEN, 1.0),
+    "plot/latency/end_to_end": ("end to end", WHITE, 2.0),
+}
+"""Entity → name, colour, width of each curve."""
+
+MODES: dict[str, Colour] = {"drive": GREEN, "waiting": YELLOW, "safe_stop": VERMILION}
+STATES: dict[str, Colour] = {
+    "ready": GREEN,
+    "starting": SKY,
+    "waiting": YELLOW,
+    "degraded": ORANGE,
+    "stopping": PURPLE,
+    "silent": VERMILION,
+}
+SERVICES = ("predictor", "riskfield", "planner")
+
+
+def log_styles(canvas: Canvas) -> None:
+    """Log names, colours and states, once."""
+    for path, (name, colour, width) in SERIES.items():
+        canvas.log(path, rr.SeriesLines(names=[name], colors=[colour], widths=[width]), static=True)
+    _states(canvas, "state/plan", MODES)
+    for service in SERVICES:
+        _states(canvas, f"state/{service}", STATES)
+
+
+def _states(canvas: Canvas, path: str, states: dict[str, Colour]) -> None:
+    style = rr.StateConfiguration(
+        values=list(states), labels=[s.replace("_", " ") for s in states], colors=list(states.values())
+    )
+    canvas.log(path, style, static=True)
+
+
+def log_value(canvas: Canvas, path: str, value: float | None) -> None:
+    """Log one value of a curve; nothing where it is unknown."""
+    if value is not None:
+        canvas.log(path, rr.Scalars(value))
+
+
+def log_slice_risk_style(canvas: Canvas, times: list[float]) -> None:
+    """Name the curves of the slices by the time at which they begin."""
+    names = [f"{t:.1f} s" for t in times]
+    style = rr.SeriesLines(names=names, colors=of_slice(len(times)), widths=[1.0] * len(times))
+    canvas.log("plot/max_risk/slices", style, static=True)
+
+
+@dataclass
+class Changes:
+    """What was last said about each thing, so that only news is logged."""
+
+    said: dict[str, str]
+
+    @staticmethod
+    def none() -> Changes:
+        """Nothing was said yet."""
+        return Changes({})
+
+    def news(self, about: str, what: str) -> bool:
+        """Whether `what` differs from what was last said, numbers aside."""
+        core = re.sub(r"[-+]?\d+(?:\.\d+)?", "#", what)
+        if self.said.get(about) == core:
+            return False
+        self.said[about] = core
+        return True
+
+
+def log_mode(canvas: Canvas, plan: Plan, changes: Changes) -> None:
+    """Log the plan's mode where it changes, and its reason and decision as text where they do."""
+    if changes.news("mode", plan.mode):
+        canvas.log("state/plan", rr.StateChange(state=plan.mode))
+    sentence = plan.decision.sentence if plan.decision is not None else ""
+    source = "" if plan.decision is None else f"{plan.decision.term} of {_spelt(plan.decision.source_id)}"
+    if changes.news("plan", f"{plan.mode} {plan.reason} {source}"):
+        level = {"drive": "INFO", "waiting": "WARN", "safe_stop": "ERROR"}[plan.mode]
+        text = f"{plan.mode}: {plan.reason}" + (f" · {sentence}" if sentence and sentence != plan.reason else "")
+        canvas.log("log/plan", rr.TextLog(text, level=level))
+
+
+def _spelt(identity: int | None) -> str:
+    # letters, because `news` disregards digits and another source is news
+    return "" if identity is None else "".join(chr(ord("a") + int(d)) for d in str(abs(identity)))
+
+
+def log_state(canvas: Canvas, service: str, state: str, reason: str, changes: Changes) -> None:
+    """Log a service's state where it changes, with its reason."""
+    if changes.news(f"state {service}", state):
+        canvas.log(f"state/{service}", rr.StateChange(state=state))
+    if changes.news(f"reason {service}", f"{state} {reason}"):
+        level = "INFO" if state in ("ready", "starting", "stopping") else "WARN"
+        canvas.log(f"log/{service}", rr.TextLog(f"{state}: {reason}", level=level))
+
+
+def log_status(canvas: Canvas, status: Status, changes: Changes) -> None:
+    """Log what a service says about itself: state, reason, inputs, what it refused."""
+    log_state(canvas, status.service, status.state, status.reason, changes)
+    for counter, n in status.counters.items():
+        if not counter.endswith(":sent") and not counter.startswith("mode:") and changes.news(
+            f"{status.service} {counter}", "counted"
+        ):  # fmt: skip
+            canvas.log(f"log/{status.service}", rr.TextLog(f"first {counter} ({n})", level="DEBUG"))
+
+
+def log_health(canvas: Canvas, statuses: dict[str, Status]) -> None:
+    """Log a table of every service: state, rates, work, what was not used."""
+    lines = ["| service | state | inputs [Hz] | work p50 / p99 [ms] | not used |", "|:--|:--|:--|--:|:--|"]
+    for name, s in sorted(statuses.items()):
+        inputs = ", ".join(f"{k} {v.rate_hz:.0f}{'' if v.alive else ' ✗'}" for k, v in s.inputs.items() if v.rate_hz)
+        unused = ", ".join(f"{k} {v}" for k, v in s.counters.items() if not k.endswith(":sent") and "mode:" not in k)
+        work = f"{s.work_ms.get('p50', 0):.1f} / {s.work_ms.get('p99', 0):.1f}" if s.work_ms else ""
+        lines.append(f"| {name} | {s.state}: {s.reason} | {inputs} | {work} | {unused or 'nothing'} |")
+    canvas.log("health", rr.TextDocument("\n".join(lines), media_type=rr.MediaType.MARKDOWN))

@@ -1,0 +1,51 @@
+"""Section `[viz]`: what is drawn, how often, and where it goes."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from common.config import Settings
+
+Positive = Annotated[float, Meta(gt=0.0)]
+
+
+class VizSettings(Settings, frozen=True):
+    """Section `[viz]`. `record` and `serve` are also options of `python -m viz`."""
+
+    record: str = ""
+    """File to write (`.rrd`); empty: none."""
+    scenario: str = ""
+    """Name stored in the recording; empty: `live`."""
+    serve: Annotated[int, Meta(ge=0, le=65535)] = 0
+    """Port on which a viewer can watch live; 0: none. The server knows no authentication, so it listens on `address`."""
+    address: str = "127.0.0.1"
+    """Address of that server; anything but loopback shows the drive to everyone who reaches it."""
+    server_memory: str = "256MiB"
+    """What the server keeps for a viewer that joins late; the oldest is dropped first."""
+    footer: bool = True
+    """Finish the file with an index when it is closed. It costs memory while recording; without it a file still opens,
+    and `rerun rrd optimize IN -o OUT` adds it afterwards."""
+    flush_s: Positive = 0.25
+    """Rows wait this long to share a chunk [s]: smaller files, a live picture later by as much."""
+    heavy_hz: Positive = 10.0
+    """Highest rate at which risk, candidates and objects are drawn [Hz]."""
+    ego_hz: Positive = 20.0
+    """Highest rate at which the ego is drawn [Hz]."""
+    exact_hz: Annotated[float, Meta(ge=0.0)] = 1.0
+    """Rate at which the volume is stored with its own numbers (float16 tensor) [Hz]; 0: never."""
+    stack: bool = True
+    """Draw all slices as layers lifted by time; otherwise only the first and the one that decided."""
+    stack_step: Annotated[int, Meta(ge=1, le=8)] = 1
+    """Cells of the volume that one cell of a layer stands for, along each side; their maximum is shown."""
+    lift: Positive = 6.0
+    """Height that one second of the future takes in the time stack [m/s]."""
+    full_scale: Positive = 1.5
+    """Risk shown in the brightest colour [E_max]; more is shown alike."""
+    trail_s: Annotated[float, Meta(ge=0.0)] = 3.0
+    """How much of the driven path is drawn behind objects and ego [s]."""
+    labelled: Annotated[int, Meta(ge=0)] = 16
+    """How many objects, the nearest first, carry a label."""
+    candidate_points: Annotated[int, Meta(ge=2)] = 16
+    """Points drawn for each candidate."""
