@@ -92,7 +92,8 @@ class Planner:
 
     def _prepared(self, route: Route, road: Map) -> Road:
         """Reference line and lanes, made once for each route and map."""
-        if self._road is None or self._road_of is None or self._road_of[0] is not route or self._road_of[1] is not road:
+        known = self._road_of
+        if self._road is None or known is None or known[1] is not road or not _same(known[0], route):
             reference = ReferenceLine.of(route.reference)
             self._road = Road(
                 reference,
@@ -168,6 +169,17 @@ def start_of(ego: Ego, max_curvature: float) -> Start:
         float(np.clip(curvature, -max_curvature, max_curvature)),
         speed,
         float(np.clip(ego.acceleration, -8.0, 2.0)) if speed > 0.1 else 0.0,
+    )
+
+
+def _same(a: Route, b: Route) -> bool:
+    """Whether two routes say the same: one that is published again changes nothing."""
+    return a is b or (
+        a.goal == b.goal
+        and a.lane_ids == b.lane_ids
+        and a.speed_limit == b.speed_limit
+        and a.lane_width == b.lane_width
+        and np.array_equal(a.reference, b.reference)
     )
 
 
