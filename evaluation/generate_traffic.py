@@ -94,8 +94,8 @@ def _run(
         "--no-warnings", "true", "--no-step-log", "true", "--time-to-teleport", "120", "--collision.action", "none",
         "--default.speeddev", "0.1", "--ignore-route-errors", "true", "--extrapolate-departpos", "true",
     ]  # fmt: skip
-    if sublane:
-        options += ["--lateral-resolution", "0.6"]
+    # without sublanes SUMO's lane changes would be jumps
+    options += ["--lateral-resolution", "0.6"] if sublane else ["--lanechange.duration", f"{rng.uniform(2.5, 5.0):.1f}"]
     try:
         sumo.start(options)
     except Exception as e:  # libsumo raises its own types

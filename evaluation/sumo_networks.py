@@ -13,6 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+MOTORWAYS = ((33.0, 1.0), (27.0, 0.8), (22.0, 0.6), (20.0, 0.35), (16.0, 0.7))
+"""Speed limit [m/s] of each motorway, and the share of it that is left where it gets narrow."""
+
 
 class TrafficError(RuntimeError):
     """Traffic cannot be generated: why, and what to do."""
@@ -56,8 +59,10 @@ def networks(folder: Path, given: list[Path], seed: int) -> list[Network]:
         )  # fmt: skip
         made.append(Network(name, out, float(per_hour), False))
     made.append(Network("bends", _bends(folder, rng), 500.0, False))
-    for k, limit in enumerate((27.0, 16.0)):
-        made.append(Network(f"motorway{k}", _motorway(folder, k, limit), 5200.0 + 600.0 * k, True))
+    for k, (limit, jam) in enumerate(MOTORWAYS):
+        lanes = 3 + k % 2
+        path = _motorway(folder, k, lanes, limit, jam)
+        made.append(Network(f"motorway{k}", path, 4 * rng.uniform(1300.0, 1900.0), True))
     return made
 
 
@@ -82,17 +87,25 @@ def _bends(folder: Path, rng: np.random.Generator) -> Path:
     return _convert(folder, "bends", nodes, edges)
 
 
-def _motorway(folder: Path, k: int, limit: float) -> Path:
-    """1.4 km, four lanes, an entrance, and a part where one lane ends."""
+def _motorway(folder: Path, k: int, lanes: int, limit: float, jam: float) -> Path:
+    """1.4 km that bends a little: an entrance, a lane that ends, a slower part."""
+    side = -1.0 if k % 2 else 1.0
     nodes = [
-        '<node id="a" x="0" y="0"/>', '<node id="b" x="450" y="8"/>', '<node id="c" x="750" y="30"/>',
-        '<node id="d" x="1050" y="75"/>', '<node id="e" x="1450" y="170"/>', '<node id="r" x="200" y="-70"/>',
-    ]  # fmt: skip
+        f'<node id="{name}" x="{x}" y="{side * y}"/>'
+        for name, x, y in (
+            ("a", 0, 0),
+            ("b", 450, 8),
+            ("c", 750, 30),
+            ("d", 1050, 75),
+            ("e", 1450, 170),
+            ("r", 200, 70),
+        )
+    ]
     edges = [
-        f'<edge id="ab" from="a" to="b" numLanes="4" speed="{limit}"/>',
-        f'<edge id="bc" from="b" to="c" numLanes="5" speed="{limit}"/>',
-        f'<edge id="cd" from="c" to="d" numLanes="4" speed="{0.85 * limit:.2f}"/>',
-        f'<edge id="de" from="d" to="e" numLanes="{4 - k}" speed="{limit}"/>',
+        f'<edge id="ab" from="a" to="b" numLanes="{lanes}" speed="{limit}"/>',
+        f'<edge id="bc" from="b" to="c" numLanes="{lanes + 1}" speed="{limit}"/>',
+        f'<edge id="cd" from="c" to="d" numLanes="{lanes}" speed="{(1.0 + jam) / 2.0 * limit:.2f}"/>',
+        f'<edge id="de" from="d" to="e" numLanes="{lanes}" speed="{jam * limit:.2f}"/>',
         f'<edge id="rb" from="r" to="b" numLanes="1" speed="{0.8 * limit:.2f}"/>',
     ]
     return _convert(folder, f"motorway{k}", nodes, edges)

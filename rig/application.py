@@ -7,12 +7,9 @@ Exit codes: 0 done; 1 failed (a collision at fault, a service that died, an unhe
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,16 +19,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from common import config
-from common.bus import BusSettings, NoRouterError, open_bus
+from common.bus import BusSettings, open_bus
 from common.config import ConfigError, Tree
-from rig import configuration, health_table, report, session
-from rig.launcher import LaunchError
+from rig import configuration, health_table, prediction_commands, report, session
+from rig.exits import exits, say, writable, write
 from rig.screen import progress
 from rig.settings import RigSettings
 from rig.sources import builtin_scenarios, load_scenario, recorded_scenarios
 from rig.statuses import Statuses
-from rig.stopping import StopRequest, stoppable
-from rig.world import ScenarioError
 
 app = typer.Typer(
     help="Predictive risk fields and safe planning for vehicles: three services over Zenoh, and a bench to drive them.",
@@ -41,6 +36,7 @@ app = typer.Typer(
 )
 bench = typer.Typer(help="Benchmarks, each with a JSON result.", no_args_is_help=True)
 app.add_typer(bench, name="bench")
+prediction_commands.register(app, bench)
 
 Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
 Sets = Annotated[
@@ -75,22 +71,22 @@ def run(
 ) -> None:
     """Drive one scenario in closed loop and in real time."""
     console = Console()
-    with _exits():
+    with exits():
         tree = _with_viz(configuration.load(config_, set_ or [], device), record, live, attach)
-        _writable("--json", json_)
+        writable("--json", json_)
         world = load_scenario(
             scenario, seed=seed, ego_track=ego_track, settings=config.section(tree, "rig", RigSettings)
         )
         tree = configuration.with_keys(tree, "viz", scenario=f"{world.name}: {world.title}")
         for warning in world.warnings:
-            _say(f"[yellow]warning[/] {escape(warning)}")
+            say(f"[yellow]warning[/] {escape(warning)}")
         options = session.Options(duration, attach, loop, logs)
         reports: list[session.Report] = []
 
         def done(result: session.Report) -> None:
             reports.append(result)
             if json_ is not None:
-                _write(json_, result)
+                write(json_, result)
 
         try:
             with progress(console, world.name) as show:
@@ -134,7 +130,7 @@ def services(
     logs: Logs = None,
 ) -> None:
     """Bring up router and services for a real vehicle, until Ctrl-C."""
-    with _exits(asked=True):
+    with exits(asked=True):
         tree = _with_viz(configuration.load(config_, set_ or [], device), record, live, attach=False)
         with session.running(tree, session.services_for(tree), logs=logs, listen=listen) as (tree, crew):
             assert crew is not None
@@ -142,7 +138,7 @@ def services(
             with open_bus(config.section(tree, "bus", BusSettings), vehicle, "launcher") as bus:
                 statuses = Statuses(bus, [c.name for c in crew.children])
                 crew.wait_ready(statuses, config.section(tree, "rig", RigSettings).ready_timeout_s)
-                _say(
+                say(
                     f"up at {escape(listen)}: put ego, objects, map and route to forefield/{vehicle}/…, "
                     f"read forefield/{vehicle}/plan. `forefield health` shows how they are; Ctrl-C ends them."
                 )
@@ -154,7 +150,7 @@ def services(
 @app.command()
 def view(file: Annotated[Path, typer.Argument(help="A recording (.rrd).")]) -> None:
     """Open a recording in the Rerun viewer."""
-    with _exits():
+    with exits():
         if not file.is_file():
             raise ConfigError(f"{file}: no such recording; `forefield run --scenario demo --record {file}` makes one")
         if importlib.util.find_spec("rerun") is None:
@@ -170,7 +166,7 @@ def health(
     connect: Annotated[str, typer.Option("--connect", help="The router; default: bus.connect.")] = "",
 ) -> None:
     """Show how a running system is; exit code 0: all three services are ready."""
-    with _exits():
+    with exits():
         tree = configuration.load(config_, set_ or [])
         if connect:
             tree = configuration.with_keys(tree, "bus", connect=[connect])
@@ -180,7 +176,7 @@ def health(
             good = health_table.healthy(statuses)
             if not statuses.latest():
                 where = ", ".join(tree["bus"]["connect"])
-                _say(
+                say(
                     f"nobody answers at {escape(where)} for vehicle {config.vehicle(tree)}: --connect, --set vehicle=…?"
                 )
         if not good:
@@ -199,34 +195,13 @@ def pipeline(
     """Measure the three processes at full speed, beside the same cores one after another in one process."""
     from evaluation import bench_pipeline
 
-    with _exits():
+    with exits():
         tree = configuration.load(config_, set_ or [], device)
-        _writable("--json", json_)
+        writable("--json", json_)
         result = bench_pipeline.measure(tree, objects=objects, frames=frames)
         if json_ is not None:
-            _write(json_, result)
+            write(json_, result)
         Console().print(bench_pipeline.table(result))
-
-
-@contextmanager
-def _exits(*, asked: bool = False) -> Iterator[None]:
-    """Turn what may happen into exit codes and one line that says what to do; `asked`: being stopped is no failure."""
-    try:
-        with stoppable():
-            yield
-    except (ConfigError, ScenarioError) as e:
-        _say(f"[red]error[/] {escape(str(e))}")
-        raise typer.Exit(2) from None
-    except (LaunchError, NoRouterError) as e:
-        _say(f"[red]failed[/] {escape(str(e))}")
-        raise typer.Exit(1) from None
-    except StopRequest as e:
-        _say("stopped" if asked else f"stopped by {e}")
-        raise typer.Exit(0 if asked else 128 + e.number) from None
-
-
-def _say(text: str) -> None:
-    Console(stderr=True, soft_wrap=True, highlight=False).print(text)
 
 
 def _with_viz(tree: Tree, record: Path | None, live: int, attach: bool) -> Tree:
@@ -235,32 +210,16 @@ def _with_viz(tree: Tree, record: Path | None, live: int, attach: bool) -> Tree:
             raise ConfigError("--record goes with services of our own; attached, record with `python -m viz --record`")
         if record.suffix != ".rrd":
             raise ConfigError(f"--record {record}: the name of a Rerun recording ends in .rrd")
-        _writable("--record", record)
+        writable("--record", record)
         tree = configuration.with_keys(tree, "viz", record=str(record.absolute()))
     return configuration.with_keys(tree, "viz", serve=live) if live else tree
-
-
-def _writable(option: str, path: Path | None) -> None:
-    if path is None:
-        return
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        raise ConfigError(f"{option} {path}: {'is a folder' if path.is_dir() else 'there is no such folder'}")
-    if not os.access(path if path.exists() else path.absolute().parent, os.W_OK):
-        raise ConfigError(f"{option} {path}: not writable")
-
-
-def _write(path: Path, result: dict[str, Any]) -> None:
-    """Whole or not at all."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_text(json.dumps(report.finite(result), indent=1, allow_nan=False) + "\n")
-    draft.replace(path)
 
 
 def _conclude(console: Console, result: dict[str, Any]) -> None:
     if result["duration_s"] > 0.0:  # otherwise it never came to a drive
         console.print(report.table(result))
     for failure in result["failures"]:
-        _say(f"[red]failed[/] {escape(failure)}")
+        say(f"[red]failed[/] {escape(failure)}")
     recording = result["recording"]
     if recording and Path(recording).is_file():
         console.print(f"open the recording:  forefield view {recording}", soft_wrap=True, highlight=False, markup=False)

@@ -37,6 +37,9 @@ CONTEXT = 7
 GATE_MPS = (0.5, 1.0)
 """The residual fades in between these current speeds [m/s]."""
 
+SHRINK_MPS = (8.0, 12.0)
+"""Between these speeds the shrinkage of the residual goes over from the slow to the fast value [m/s]."""
+
 _KIND = np.zeros(len(ObjectClass), dtype=np.int64)
 _KIND[[ObjectClass.TRUCK, ObjectClass.BUS]] = 1
 _KIND[[ObjectClass.MOTORCYCLE, ObjectClass.BICYCLE]] = 2
@@ -110,6 +113,11 @@ def gate(speed: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """The stop gate: 0 for what stands, 1 from 1 m/s on; `speed` is the current one [m/s]."""
     low, high = GATE_MPS
     return np.asarray(np.clip((speed - low) / (high - low), 0.0, 1.0))
+
+
+def shrinkage(speed: npt.NDArray[np.floating], shrink: tuple[float, float]) -> npt.NDArray[np.floating]:
+    """How much of the residual is taken at a speed [m/s]: `shrink` in the city, and on fast roads."""
+    return np.asarray(np.interp(speed, SHRINK_MPS, shrink))
 
 
 def basis() -> F32:

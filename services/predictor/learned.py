@@ -1,7 +1,7 @@
 """The learned predictor in service: samples of what stood around, one batch through the network, motion out.
 
-    p(t) = p_0 + v t + gate(|v|) · shrink · residual(t)            residual form
-    p(t) = p_0 + v t + gate(|v|) · (Z(t) − v t)                    paper form
+    p(t) = p_0 + v t + gate(|v|) · shrink(|v|) · residual(t)       residual form
+    p(t) = p_0 + v t + gate(|v|) · shrink(|v|) · (Z(t) − v t)      paper form
 
 with constant velocity from the kinematic state, so that what stands stays where it is. Headings follow the course of
 the predicted positions; speeds are their steps.
@@ -91,7 +91,8 @@ def motion_of(loaded: Loaded, x: F64, y: F64, cls: U8, length: F64, around: F32,
     own = frame.into(x, y)
     velocity = (own[:, 0] - own[:, VELOCITY_STEPS]) / (VELOCITY_STEPS * FRAME_S)
     straight = constant_velocity(state)
-    open_ = features.gate(np.hypot(state.vx, state.vy))[:, None]
+    speed = np.hypot(state.vx, state.vy)
+    share = (features.gate(speed) * features.shrinkage(speed, loaded.shrink))[:, None]
     plain = loaded.network.architecture.form == "paper"
     inputs = features.plain_inputs(own, around) if plain else features.residual_inputs(own, velocity, around)
     context = features.context(cls, length, velocity)
@@ -102,8 +103,8 @@ def motion_of(loaded: Loaded, x: F64, y: F64, cls: U8, length: F64, around: F32,
     if plain:
         dx, dy = turned[..., 0] + px - straight.x, turned[..., 1] + py - straight.y
     else:
-        dx, dy = loaded.shrink * turned[..., 0], loaded.shrink * turned[..., 1]
-    return along(straight.x + open_ * dx, straight.y + open_ * dy, state)
+        dx, dy = turned[..., 0], turned[..., 1]
+    return along(straight.x + share * dx, straight.y + share * dy, state)
 
 
 def along(x: F64, y: F64, state: State) -> Motion:

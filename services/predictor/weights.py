@@ -40,8 +40,8 @@ class Loaded:
 
     name: str
     network: Network
-    shrink: float
-    """The residual is taken times this."""
+    shrink: tuple[float, float]
+    """The deviation from constant velocity is taken times this, slow and fast (`features.shrinkage`)."""
     classes: frozenset[ObjectClass]
     """The class rule: who may be predicted with it."""
 
@@ -76,15 +76,15 @@ def load(folder: Path, name: str = "") -> Loaded:
     try:
         architecture = _architecture(entry["architecture"])
         file, expected = folder / Path(str(entry["file"])).name, str(entry["sha256"])
-        shrink = float(entry["shrink"])
+        slow, fast = (float(s) for s in entry["shrink"])
         classes = frozenset(ObjectClass[str(c).upper()] for c in card["classes"])
     except (KeyError, TypeError, ValueError) as e:
         raise WeightsError(f"{folder / CARD}: {name}: {type(e).__name__}: {e}") from None
-    if not 0.0 <= shrink <= 1.0:
-        raise WeightsError(f"{folder / CARD}: {name}: shrink {shrink}")
+    if not (0.0 <= slow <= 1.0 and 0.0 <= fast <= 1.0):
+        raise WeightsError(f"{folder / CARD}: {name}: shrink {slow}, {fast}")
     network = Network(architecture)
     network.load_state_dict(_checked(file, expected, network))
-    return Loaded(name, network.eval().requires_grad_(False), shrink, classes)
+    return Loaded(name, network.eval().requires_grad_(False), (slow, fast), classes)
 
 
 def save(folder: Path, name: str, network: Network) -> dict[str, Any]:

@@ -1,0 +1,136 @@
+"""The paper's ablations: `forefield eval ablation`, the same network with and without an input, over several seeds.
+
+For every seed the arms see the same batches in the same order. A difference is the arm's error minus the full network's
+in per cent of the full network's (positive: leaving it out hurts); intervals resample seeds and recordings together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.table import Table
+
+from common.messages import F64, PREDICTION_FRAMES
+from evaluation import prediction_scores as scoring
+from evaluation.eval_prediction import as_service
+from evaluation.train_predictor import Data
+from evaluation.training import LEARNED_CLASSES, Options, fit, learnable
+from evaluation.trajectory_windows import Windows
+from services.predictor.kinematic import estimate
+from services.predictor.learned import motion_of
+from services.predictor.lstm import Architecture, Form
+from services.predictor.settings import PredictorSettings
+from services.predictor.weights import Loaded
+
+ARMS = ("full", "no_risk", "no_attention", "no_leader")
+
+
+def arms(form: Form, hidden: int, names: Sequence[str] = ARMS) -> dict[str, Architecture]:
+    """The full network and what each arm leaves out."""
+    full = Architecture(form=form, hidden=hidden)
+    known = {
+        "full": full,
+        "no_risk": replace(full, risk=False),
+        "no_attention": replace(full, attention=False),
+        "no_leader": replace(full, leader=False),
+    }
+    return {n: known[n] for n in names if not (form == "paper" and n == "no_leader")}
+
+
+def ablation(
+    data: Data,
+    test: Windows,
+    architectures: Mapping[str, Architecture],
+    options: Options,
+    seeds: Sequence[int],
+    *,
+    checkpoints: Path | None = None,
+    device: str = "cpu",
+    repeats: int = 2000,
+    progress: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Train every arm with every seed and compare on windows of vehicles that move, pooled and by site."""
+    torch.set_num_threads(1)
+    chosen = learnable(test.take(test.known >= PREDICTION_FRAMES))
+    chosen = chosen.take(chosen.moving)
+    if not len(chosen):
+        raise ValueError("no moving vehicle with 3 s of history and 6 s of future to compare on")
+    error: dict[str, list[F64]] = {name: [] for name in architectures}
+    for seed in seeds:
+        for name, architecture in architectures.items():
+            own = Options(**{**asdict(options), "seed": seed})
+            file = None if checkpoints is None else checkpoints / f"{architecture.form}-{name}-{seed}.checkpoint"
+            fitted = fit(architecture, data.recorded, data.generated, own, device=device, checkpoint=file)
+            error[name].append(_errors(Loaded(name, fitted.network, (1.0, 1.0), frozenset(LEARNED_CLASSES)), chosen))
+            progress(f"seed {seed}, {name}: FDE at 6 s {error[name][-1][:, 2, 1].mean():.2f} m")
+    stacked = {name: np.stack(e) for name, e in error.items()}
+    sites = np.array(chosen.sites)[chosen.recording]
+    rows = {"pooled": np.ones(len(chosen), dtype=bool), **{s: sites == s for s in sorted(set(sites))}}
+    return {
+        "schema": "forefield.eval_ablation.v1",
+        "seeds": list(seeds),
+        "windows": len(chosen),
+        "options": asdict(options),
+        "arms": {n: a.as_dict() for n, a in architectures.items()},
+        "results": {s: _compared(stacked, chosen, r, repeats) for s, r in rows.items() if r.any()},
+    }
+
+
+def _errors(loaded: Loaded, data: Windows) -> F64:
+    objects, frames = as_service(data)
+    state = estimate(objects, frames, PredictorSettings().kinematic)
+    motion = motion_of(loaded, data.x, data.y, data.cls, data.length, data.signals, state)
+    return scoring.errors(np.stack((motion.x, motion.y), axis=-1), data)
+
+
+def _compared(error: Mapping[str, F64], data: Windows, rows: scoring.Bool, repeats: int) -> dict[str, Any]:
+    """Errors [m] of each arm and paired differences [%]; resampled by seed and by recording (one only: by track)."""
+    units = data.recording[rows]
+    if len(np.unique(units)) < 2:
+        units = data.track[rows]
+    units = np.unique(units, return_inverse=True)[1]
+    drawn = scoring.resampled(units, repeats, 0)
+    seeds = next(iter(error.values())).shape[0]
+    drawn_seeds = scoring.resampled(np.arange(seeds), repeats, 1)
+    result: dict[str, Any] = {"n": int(rows.sum()), "units": int(units.max()) + 1}
+    for name, e in error.items():
+        entry: dict[str, Any] = {}
+        for h, k in enumerate(scoring.HORIZONS):
+            for c, what in enumerate(("ade", "fde")):
+                own, full = e[:, rows, h, c], error["full"][:, rows, h, c]
+                per_seed = own.mean(axis=1)
+                score = {"mean": float(per_seed.mean()), "sd_of_seeds": float(per_seed.std())}
+                if name != "full":
+                    sums = [np.stack([np.bincount(units, weights=s) for s in v]) for v in (own, full)]
+                    a, b = (np.einsum("rs,su,ru->r", drawn_seeds, s, drawn) for s in sums)
+                    low, high = np.percentile(100.0 * (a / b - 1.0), scoring.LEVEL)
+                    score["change_percent"] = float(100.0 * (own.mean() / full.mean() - 1.0))
+                    score["change_ci"] = [float(low), float(high)]
+                    score["seeds_worse"] = int((own.mean(axis=1) > full.mean(axis=1)).sum())
+                entry[f"{what}_{k}"] = score
+        result[name] = entry
+    return result
+
+
+def table(result: Mapping[str, Any]) -> Table:
+    """Change at 6 s when an input is left out."""
+    out = Table(title=f"left out, change of the error at 6 s; {len(result['seeds'])} seeds")
+    for column in ("site", "arm", "ADE [m]", "FDE [m]", "ADE change [%]", "FDE change [%]"):
+        out.add_column(column, no_wrap=True)
+    for site, compared in result["results"].items():
+        for arm in result["arms"]:
+            ade, fde = compared[arm]["ade_60"], compared[arm]["fde_60"]
+            cells = [f"{s['mean']:.2f} ± {s['sd_of_seeds']:.2f}" for s in (ade, fde)]
+            changes = [
+                f"{s['change_percent']:+.1f} ({s['change_ci'][0]:+.1f} … {s['change_ci'][1]:+.1f})"
+                if "change_ci" in s
+                else ""
+                for s in (ade, fde)
+            ]
+            out.add_row(site, arm, *cells, *changes)
+    return out
