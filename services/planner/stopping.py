@@ -22,8 +22,10 @@ def stopping_tail(
     motions = [brake_motion(settings.valid_for, s, v, a, b, max(3.0 * b, 4.0)) for b in settings.tail_brakes]
     if volume is None or v <= 0.0:
         return motions[0]
+    risk = float(motion_risk(path, profile.until(0.1), volume, footprint)[0][0])
+    bound = settings.r_hit if risk < settings.r_hit else risk + 0.1  # as the validator sees it
     for motion in motions[:-1]:
-        if first_contact(path, motion, volume, footprint, settings.r_hit) is None:
+        if first_contact(path, motion, volume, footprint, bound) is None:
             return motion
     return motions[-1]
 
@@ -34,7 +36,7 @@ def first_contact(
     """First sample of a motion that, moving, has a risk of r_hit or more, or leaves the grid; and that risk."""
     risk, known = motion_risk(path, motion, volume, footprint)
     moving = motion.speed > 0.05
-    bad = moving & (~(risk < max(r_hit, float(risk[0]) + 0.02)) | ~known)
+    bad = moving & (~(risk < r_hit) | ~known)
     return (int(np.argmax(bad)), float(risk[np.argmax(bad)])) if bad.any() else None
 
 
