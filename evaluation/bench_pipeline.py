@@ -1,16 +1,17 @@
 """Does the pipeline's period follow its slowest stage rather than the sum of the stages? `forefield bench pipeline`.
 
 **Pipeline**: router and the three services as their own processes, viz off. Objects are fed as fast as they are
-accepted: a new frame is sent once the predictor is through with the last one and no more than one is with the
-riskfield, so that no stage overwrites what it has not taken; 2 or 3 frames are under way at once (whichever is faster
-in a short trial), counted until a plan that rests on them is received. The ego comes at 50 Hz as always. The *period*
-is the time between receipts of successive such plans, so it includes codec and transport. The planner steps when new
-risk arrives (and 50 to 70 ms after its last step otherwise), so its own clock does not bound it.
+accepted: a new frame is sent once the predictor is through with the last one, as long as no more than 2 or 3 frames
+(whichever is faster in a short trial) are under way; a frame is under way until a plan that rests on it is received.
+The ego comes at 50 Hz as always. The *period* is the time between receipts of successive plans on new risk, so it
+includes codec and transport. The planner steps when new risk arrives (and 50 to 70 ms after its last step otherwise),
+so its own clock does not bound it.
 
 **One process**: the same cores on the same scene, called one after another, nothing encoded and nothing sent; blocks of
 both alternate within one run, so that both see the same machine. `stages_ms` are the medians of its stages and
 `sum_of_stages_ms` their sum: the period that the same work would have without parallel processes, at its cheapest.
-`pipeline_work_ms` are the same stages inside the pipeline (`work_ns`: arrival → put, with waiting, decoding, encoding).
+`pipeline_work_ms` are the same stages inside the pipeline, as their status says (arrival → put: with waiting, decoding,
+encoding; the median of their last messages). `modes` are those of the plans that were measured.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from __future__ import annotations
 import os
 import platform
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -29,7 +31,7 @@ from common.bus import Bus, BusSettings, open_bus
 from common.config import Tree
 from common.messages import Cause, Map, Message, Objects, Prediction, Risk, Route, Stamped
 from common.risk import RiskParameters
-from common.topics import EGO, MAP, OBJECTS, PLAN, PREDICTION, RISK, ROUTE
+from common.topics import EGO, MAP, OBJECTS, PLAN, PREDICTION, ROUTE
 from evaluation.bench_scene import BenchScene
 from rig.launcher import SERVICES, Crew, LaunchError
 from rig.session import running
@@ -95,8 +97,8 @@ def measure(tree: Tree, *, objects: int = 32, frames: int = 300) -> dict[str, An
             alone.block(max(4, frames // (2 * ROUNDS)), feed.time_s)
         _rest(bus, statuses)
         skipped = _overwritten(statuses) - before
-        modes = {k.removeprefix("mode:"): n for k, n in statuses.counters()["planner"].items() if k.startswith("mode:")}
-    return _result(feed, alone, objects, skipped, modes, tree)
+        work = {name: s.value.work_ms["p50"] for name, s in statuses.latest().items()}
+    return _result(feed, alone, objects, skipped, work, tree)
 
 
 def _overwritten(statuses: Statuses) -> int:
@@ -112,7 +114,7 @@ def _rest(bus: Bus, statuses: Statuses) -> None:
 
 
 def _result(
-    feed: _Feed, alone: _OneProcess, objects: int, skipped: int, modes: dict[str, int], tree: Tree
+    feed: _Feed, alone: _OneProcess, objects: int, skipped: int, work: dict[str, float], tree: Tree
 ) -> dict[str, Any]:
     stages = {name: round(float(np.median(values)), 3) for name, values in alone.times_ms.items()}
     total = sum(stages.values())
@@ -124,14 +126,14 @@ def _result(
         "end_to_end_ms": {k: v for k, v in feed.tally.latency_ms()["end_to_end"].items() if k in ("p50", "p99")},
         "stages_ms": stages,
         "one_process_cycle_ms": round(float(np.median(alone.cycles_ms)), 3),
-        "pipeline_work_ms": {k: v["p50"] for k, v in feed.tally.latency_ms().items() if k != "end_to_end"},
+        "pipeline_work_ms": {name: round(ms, 3) for name, ms in work.items()},
         "period_of_ms": {"plan": quantiles(feed.periods_ms, (50, 99))},
         "frames": {"pipeline": len(feed.periods_ms), "one_process": len(alone.cycles_ms), "skipped": skipped},
         "stalls": feed.stalls,
         "in_flight": feed.in_flight,
         "trial_period_ms": {str(n): ms for n, ms in feed.trial_ms.items()},
         "objects": objects,
-        "modes": {"pipeline": modes, "one_process": alone.modes},
+        "modes": {"pipeline": dict(feed.modes), "one_process": alone.modes},
         "machine": {
             "cpu": platform.processor() or platform.machine(),
             "cores": len(os.sched_getaffinity(0)),
@@ -149,9 +151,10 @@ class _Feed:
         self.in_flight = IN_FLIGHT[0]
         self._ego, self._objects = bus.publisher(EGO), bus.publisher(OBJECTS)
         self.tally = Tally(bus.boot)
-        self.tally.listen(bus)
-        for topic in (PREDICTION, RISK, PLAN):
-            bus.watch(topic, lambda *_: bus.interrupt())
+        self.tally.listen(bus, (PREDICTION, PLAN))  # not `risk`: its volume would pass through the router once more
+        bus.watch(PREDICTION, lambda *_: bus.interrupt())
+        self._plans = bus.inbox(PLAN)
+        self.modes: Counter[str] = Counter()
         self._start_ns = time.monotonic_ns()
         bus.publisher(MAP).put(scene.map(), capture_ns=self._start_ns)
         bus.publisher(ROUTE).put(scene.route(), capture_ns=self._start_ns)
@@ -182,6 +185,9 @@ class _Feed:
                 self._put()
             if time.monotonic_ns() - self._ego_ns >= EGO_NS:
                 self._put_ego()
+            plan = self._plans.take()
+            if plan is not None and plan.cause is not None and plan.cause.seq >= goal:
+                self.modes[plan.value.mode] += 1
             if self._last - max(self._seen(), goal - 1) < self.in_flight and self._accepted(goal):
                 self._put()
             self._bus.wait((self._ego_ns + EGO_NS - time.monotonic_ns()) * 1e-9)
@@ -198,13 +204,12 @@ class _Feed:
             medians[self.in_flight] = round(float(np.median(self.periods_ms)), 3)
         self.in_flight = min(medians, key=lambda n: medians[n])
         self.periods_ms.clear()
+        self.modes.clear()
         self.stalls = 0
 
     def _accepted(self, goal: int) -> bool:
-        """The predictor is through with the last frame, and at most one waits in or for the riskfield."""
-        newest = self.tally.newest
-        predicted = max(newest.get("prediction", -1), goal - 1)
-        return predicted >= self._last and predicted - max(newest.get("risk", -1), goal - 1) <= 1
+        """The predictor is through with the last frame."""
+        return max(self.tally.newest.get("prediction", -1), goal - 1) >= self._last
 
     def _seen(self) -> int:
         return self.tally.newest.get("plan", -1)
@@ -282,8 +287,7 @@ def table(r: dict[str, Any]) -> Table:
         out.add_row(f"{name}, alone in one process", f"{r['stages_ms'][name]:.2f}")
     out.add_row("sum of the stages", f"{r['sum_of_stages_ms']:.2f}", end_section=True)
     for name in SERVICES:
-        work = r["pipeline_work_ms"][name]
-        out.add_row(f"{name}, in the pipeline (arrival to put)", "–" if work is None else f"{work:.2f}")
+        out.add_row(f"{name}, in the pipeline (arrival to put)", f"{r['pipeline_work_ms'][name]:.2f}")
     out.add_row("[bold]period of the pipeline[/]", f"[bold]{r['period_ms']:.2f}[/]")
     out.add_row("period / sum", f"{r['ratio_period_to_sum']:.2f}")
     e2e = r["end_to_end_ms"]

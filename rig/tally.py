@@ -16,7 +16,7 @@ import numpy as np
 
 from common.bus import Bus
 from common.messages import Cause, Header
-from common.topics import PLAN, PREDICTION, RISK
+from common.topics import PLAN, PREDICTION, RISK, Topic
 
 STAGES = {"prediction": "predictor", "risk": "riskfield", "plan": "planner"}
 _MS = 1e-6
@@ -39,9 +39,9 @@ class Tally:
     _put_ns: dict[int, int] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def listen(self, bus: Bus) -> None:
+    def listen(self, bus: Bus, topics: tuple[Topic, ...] = (PREDICTION, RISK, PLAN)) -> None:
         """Read the headers of prediction, risk and plan."""
-        for topic in (PREDICTION, RISK, PLAN):
+        for topic in topics:
             bus.watch(topic, functools.partial(self.saw, topic.suffix))
 
     def begin(self) -> None:
