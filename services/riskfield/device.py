@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from common.kernel_cache import kernel_cache
 from common.messages import BLOCK, F32, Grid
 from common.risk import RiskParameters
 from services.riskfield import kernels
@@ -26,7 +27,9 @@ def resolve(device: str) -> str:
 
     Raises:
         RuntimeError: CUDA is asked for and there is none.
+        ConfigError: there is no place to keep compiled kernels.
     """
+    wp.config.kernel_cache_dir = str(kernel_cache())
     wp.init()  # type: ignore[no-untyped-call]
     if device == "auto":
         return "cuda:0" if wp.is_cuda_available() else "cpu"
