@@ -1,0 +1,76 @@
+"""The commands of the field's proof and pictures: eval hazards, figures.
+
+What they need beyond the bench (matplotlib) is imported only by the command that needs it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from common.config import ConfigError
+from rig import configuration
+from rig.exits import exits, writable, write
+
+Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
+Sets = Annotated[list[str] | None, typer.Option("--set", help="One setting; may be repeated.", metavar="KEY=VALUE")]
+Json = Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the program; `eval` is shared with other measurements."""
+    group = next((g.typer_instance for g in app.registered_groups if g.name == "eval"), None)
+    if group is None:
+        group = typer.Typer(help="Measurements.", no_args_is_help=True)
+        app.add_typer(group, name="eval")
+    group.command("hazards")(eval_hazards)
+    app.command("figures")(figures)
+
+
+def eval_hazards(
+    json_: Json = None,
+    plot: Annotated[Path | None, typer.Option("--plot", help="Draw the comparison there.", metavar="OUT.png")] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Of the random variants.", min=0)] = 1,
+    count: Annotated[int, typer.Option("--count", help="How many random variants.", min=24)] = 408,
+    traffic: Annotated[
+        bool, typer.Option("--traffic/--no-traffic", help="Count alarms in recorded traffic too ($FOREFIELD_DATA).")
+    ] = True,
+    tune: Annotated[bool, typer.Option("--tune", help="Tune every threshold again first.")] = False,
+    config_: Config = None,
+    set_: Sets = None,
+) -> None:
+    """Does it see danger? The field's alarms beside times to collision, on named and random situations."""
+    from evaluation.hazards import command
+
+    with exits():
+        tree = configuration.load(config_, set_ or [])
+        writable("--json", json_)
+        writable("--plot", plot)
+        console = Console()
+        result = command.run(tree, seed=seed, count=count, tune=tune, with_traffic=traffic, console=console)
+        if json_ is not None:
+            write(json_, result)
+        if plot is not None:
+            command.draw(result, plot)
+        for part in command.tables(result):
+            console.print(part)
+
+
+def figures(
+    out: Annotated[Path, typer.Option("--out", help="Folder for the PNG files; made if need be.", metavar="DIR")],
+) -> None:
+    """Draw the paper's figures of the field from our own."""
+    from evaluation.figures import command
+
+    with exits():
+        if out.exists() and not out.is_dir():
+            raise ConfigError(f"--out {out}: is a file, give a folder")
+        try:
+            written = command.write(out)
+        except OSError as e:
+            raise ConfigError(f"--out {out}: {e.strerror}") from None
+        for path in written:
+            Console().print(str(path), soft_wrap=True, highlight=False, markup=False)
