@@ -24,6 +24,7 @@ from services.predictor.kinematic import State, estimate
 from services.predictor.learned import LearnedPredictor
 from services.predictor.lstm import Architecture, Network
 from services.predictor.settings import PredictorSettings
+from services.predictor.surrounding_risk import RISK_POINTS
 from services.predictor.weights import SHIPPED, Loaded, load
 
 SIZES = (32, 128)
@@ -93,7 +94,7 @@ def _network(network: Network, n: int) -> Callable[[], object]:
     first = 2 if network.architecture.form == "paper" else 4
     x, context = torch.randn(n, HISTORY_FRAMES, first + signals.SIGNALS), torch.randn(n, features.CONTEXT)
     if network.architecture.form == "paper":
-        x = x[..., : first + signals.RISK_POINTS].contiguous()
+        x = x[..., : first + RISK_POINTS].contiguous()
 
     def once() -> object:
         with torch.inference_mode():
@@ -109,7 +110,7 @@ def _products(a: Architecture, n: int) -> Callable[[], object]:
     state, w_rec = torch.randn(n, h), torch.randn(h, 4 * h)
     outputs, w_qkv = torch.randn(n * f, h), torch.randn(h, 3 * h)
     q, k, v = torch.randn(n, f, h), torch.randn(n, h, f), torch.randn(n, f, h)
-    seen, w_body, w_head = torch.randn(n, 2 * h + features.CONTEXT), torch.randn(2 * h + features.CONTEXT, h)
+    seen, w_body = torch.randn(n, 2 * h + features.CONTEXT), torch.randn(2 * h + features.CONTEXT, h)
     w_head = torch.randn(h, 2 * features.BASIS)
     coefficients, basis = torch.randn(2 * n, features.BASIS), torch.randn(features.BASIS, 60)
 

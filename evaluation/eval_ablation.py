@@ -104,7 +104,7 @@ def _compared(error: Mapping[str, F64], data: Windows, rows: scoring.Bool, repea
             for c, what in enumerate(("ade", "fde")):
                 own, full = e[:, rows, h, c], error["full"][:, rows, h, c]
                 per_seed = own.mean(axis=1)
-                score = {"mean": float(per_seed.mean()), "sd_of_seeds": float(per_seed.std())}
+                score: dict[str, Any] = {"mean": float(per_seed.mean()), "sd_of_seeds": float(per_seed.std())}
                 if name != "full":
                     sums = [np.stack([np.bincount(units, weights=s) for s in v]) for v in (own, full)]
                     a, b = (np.einsum("rs,su,ru->r", drawn_seeds, s, drawn) for s in sums)

@@ -60,8 +60,7 @@ def networks(folder: Path, given: list[Path], seed: int) -> list[Network]:
         made.append(Network(name, out, float(per_hour), False))
     made.append(Network("bends", _bends(folder, rng), 500.0, False))
     for k, (limit, jam) in enumerate(MOTORWAYS):
-        lanes = 3 + k % 2
-        path = _motorway(folder, k, lanes, limit, jam)
+        path = _motorway(folder, k, 3 + k % 2, limit, jam)
         made.append(Network(f"motorway{k}", path, 4 * rng.uniform(1300.0, 1900.0), True))
     return made
 

@@ -38,8 +38,8 @@ LEAST_FUTURE = 10
 HELD = 5
 """Every fifth recording is held out where no site is."""
 LIMITS = (
-    "Trained on cars on one motorway and one signalised arterial, and on generated cars and trucks: it speaks for cars, "
-    "trucks and buses; cycles and pedestrians stay kinematic.",
+    "Trained on cars on one motorway and one signalised arterial, and on generated cars and trucks: it speaks for "
+    "cars, trucks and buses; cycles and pedestrians stay kinematic.",
     "Generated traffic holds to lanes and rules; real traffic of other countries does less.",
     "It knows no map: which way a branch is taken shows only in the motion of the last three seconds.",
     "It gives one trajectory and no spread.",

@@ -39,10 +39,12 @@ def exits(*, asked: bool = False) -> Iterator[None]:
 
 
 def say(text: str) -> None:
+    """One line for the person at the terminal (stderr)."""
     Console(stderr=True, soft_wrap=True, highlight=False).print(text)
 
 
 def writable(option: str, path: Path | None) -> None:
+    """Refuse a result file that cannot be written before the work begins."""
     if path is None:
         return
     if path.is_dir() or not path.absolute().parent.is_dir():

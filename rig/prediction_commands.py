@@ -201,13 +201,14 @@ def generate_traffic(
     """Generate interactive traffic with Eclipse SUMO, written as a trajectory table."""
     with _exits():
         from evaluation import generate_traffic as generating
+        from evaluation.sumo_networks import TrafficError
 
         if not out.name.endswith(".csv.gz"):
             raise ConfigError(f"--out {out}: the name of the table ends in .csv.gz")
         writable("--out", out)
         try:
             done = generating.generate(out, seed=seed, seconds=seconds, repeats=repeats, progress=say)
-        except generating.TrafficError as e:
+        except TrafficError as e:
             raise ConfigError(str(e)) from None
         say(f"{done.path}: {done.runs} runs, {done.tracks} tracks, {done.rows} rows, {done.teleports} teleports cut")
 
