@@ -22,6 +22,7 @@ import torch
 from common.messages import F32, F64, FRAME_S, PREDICTION_FRAMES, ObjectClass
 from evaluation.trajectory_windows import Windows
 from services.predictor import features
+from services.predictor.leader import SPEEDS
 from services.predictor.lstm import Architecture, Network
 from services.predictor.surrounding_risk import RISK_POINTS, VELOCITY_STEPS
 
@@ -110,7 +111,7 @@ def batch_of(data: Windows, form: str, rng: np.random.Generator | None, options:
         heading = heading * flip[:, 0]
         risk = np.where(flip[:, :, None] < 0, signals[..., MIRROR], signals[..., :RISK_POINTS])
         leader = signals[..., RISK_POINTS:].copy()
-        leader[..., 1:3] *= scale[:, :, None]
+        leader[..., SPEEDS] *= scale[:, :, None]
         signals = np.concatenate((risk, leader), axis=-1)
     frame = features.OwnFrame.of(x, y, heading)
     if rng is not None:

@@ -5,7 +5,7 @@ second, for what hardly moved along the body. In it, with p_i the positions of t
 τ = 0.1 s:
 
     paper form      X_i = (p_i / 10 m, 9 surrounding risks)
-    residual form   X_i = (p_i − (p_0 + v t_i), (p_i − p_{i−1}) / τ − v, 9 surrounding risks, 4 leader signals)
+    residual form   X_i = (p_i − (p_0 + v t_i), (p_i − p_{i−1}) / τ − v, 9 surrounding risks, leader signals)
 
 The residual form's output is an acceleration at every half second beside the constant velocity, and a correction of
 that velocity; integrated twice (`basis`) it gives 60 positions that leave the present smoothly.

@@ -1,6 +1,6 @@
 """What stands around each object, sampled with every message and kept for three seconds.
 
-A sample is the nine surrounding risks and the four leader signals of every object at that instant. The service keeps
+A sample is the nine surrounding risks and the leader signals of every object at that instant. The service keeps
 the samples of the last messages; `history` reads them at 10 Hz backwards, so that a network sees in service what it saw
 in training: at each frame of the history the others as they were *then*, also those that are gone now.
 """

@@ -75,8 +75,8 @@ def test_a_slower_car_ahead_is_the_leader_and_one_in_the_next_lane_is_not():
         return Scene(np.array([0.0, 25.0]), np.array([0.0, y]), z, np.array([12.0, v]), z, z + 4.5, z + 1.8, z,
                      np.ones(2, np.uint8))  # fmt: skip
 
-    near, slower, _, crossing = leader_signals(pair(0.0, 7.0), 1)[0]
-    assert near == pytest.approx(1 / (1 + 20.5 / 10)) and slower == pytest.approx(-1.0) and crossing == 0
+    near, crossing, _, slower, flow, *_ = leader_signals(pair(0.0, 7.0), 1)[0]
+    assert near == pytest.approx(1 / (1 + 20.5 / 10)) and slower == pytest.approx(-1.0) == flow and crossing == 0
     assert leader_signals(pair(3.5, 7.0), 1)[0, 0] == 0
 
 
