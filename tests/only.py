@@ -1,4 +1,6 @@
-"""A pytest plugin that makes one service's environment: `FOREFIELD_TEST_ONLY=planner pytest -p tests.only tests/planner`.
+"""A pytest plugin that makes one service's environment.
+
+`FOREFIELD_TEST_ONLY=planner pytest -p tests.only tests/planner`
 
 Packages of the other extras and the other services cannot be imported, as if they were not installed.
 """
@@ -12,7 +14,7 @@ import sys
 from collections.abc import Sequence
 from types import ModuleType
 
-HEAVY = {"predictor": {"torch"}, "riskfield": {"warp"}, "planner": set(), "viz": {"rerun", "pyarrow"},
+HEAVY = {"predictor": {"torch"}, "riskfield": {"warp"}, "planner": {"warp"}, "viz": {"rerun", "pyarrow"},
          "rig": {"typer", "rich", "commonroad", "commonroad_io", "shapely", "lxml"}}  # fmt: skip
 OURS = {"predictor": {"services.predictor"}, "riskfield": {"services.riskfield"}, "planner": {"services.planner"},
         "viz": {"viz"}, "rig": {"rig", "evaluation"}}  # fmt: skip
@@ -22,7 +24,8 @@ class Blocker(importlib.abc.MetaPathFinder):
     """Refuses what belongs to others."""
 
     def __init__(self, only: str) -> None:
-        self.refused = {m for table in (HEAVY, OURS) for name, ms in table.items() if name != only for m in ms}
+        mine = HEAVY[only] | OURS[only]
+        self.refused = {m for table in (HEAVY, OURS) for ms in table.values() for m in ms} - mine
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None

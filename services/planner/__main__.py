@@ -13,6 +13,8 @@ def build(tree: config.Tree, health: Health) -> Step:
     """Wire the core to the loop."""
     settings = config.section(tree, "planner", PlannerSettings)
     core = Planner(settings)
+    health.say("starting", "compiling kernels")
+    core.warm_up()
     health.detail["planner"] = settings.name
 
     def step(inputs: Inputs) -> Output | Idle:

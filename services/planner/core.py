@@ -8,6 +8,7 @@ import numpy as np
 
 from common.codec import RefusedError, check
 from common.messages import Ego, Map, Plan, Risk, Route, Stamped
+from services.planner.backend import kernels
 from services.planner.bezier import Start
 from services.planner.cycle import Road, Scene, plan_default, plan_paper
 from services.planner.lanes import RouteLanes
@@ -30,6 +31,11 @@ class Planner:
         self._had_all = False
         self._road: Road | None = None
         self._road_of: tuple[Route, Map] | None = None
+
+    def warm_up(self) -> None:
+        """Compile the kernels, where there are any (seconds when the cache is cold)."""
+        if kernels is not None:
+            kernels.warm_up()
 
     def step(
         self,

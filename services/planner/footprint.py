@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from common.messages import Ego
+from services.planner.backend import kernels
 from services.planner.volume import Volume
 
 F32 = npt.NDArray[np.float32]
@@ -52,13 +53,40 @@ class PathRisk:
     known: F64  # distance from the start up to which the whole footprint is on the grid [n] [m]
 
 
-def path_risk(volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, step: float) -> PathRisk:
-    """Evaluate paths [n, p] of the rear axle with points every `step` [m]."""
+def path_risk(
+    volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, step: float, *, reference: bool = False
+) -> PathRisk:
+    """Evaluate paths [n, p] of the rear axle with points every `step` [m]; `reference` keeps to NumPy."""
+    later = int(volume.slice_at(_STAYS_S))
+    look_up = _look_up if kernels is None or reference else _kernel_look_up
+    risk, stays, whole = look_up(volume, footprint, x, y, heading, later)
+    last = np.where(np.all(whole, axis=1), x.shape[1], np.argmin(whole, axis=1)) - 1
+    return PathRisk(risk, stays, step * np.maximum(last, 0).astype(np.float64))
+
+
+def timed_risk(
+    volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, t: F64
+) -> tuple[F64, npt.NDArray[np.bool_]]:
+    """The footprint's maximum at poses of the rear axle [m] at plan times t [m] [s], and whether all of it is known."""
+    look_up = _look_up if kernels is None else _kernel_look_up
+    risk, _, whole = look_up(volume, footprint, x[None], y[None], heading[None], 0)
+    return risk[0, volume.slice_at(t), np.arange(len(x))].astype(np.float64), whole[0]
+
+
+def _kernel_look_up(
+    volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, later: int
+) -> tuple[F32, F32, npt.NDArray[np.bool_]]:
+    found: tuple[F32, F32, npt.NDArray[np.bool_]] = kernels.look_up(
+        volume, (footprint.x, footprint.y), x, y, heading, later
+    )
+    return found
+
+
+def _look_up(
+    volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, later: int
+) -> tuple[F32, F32, npt.NDArray[np.bool_]]:
     fx, fy = footprint.at(x, y, heading)
     values, inside = volume.sample(fx, fy)  # [S, n, p, k]
     risk = np.moveaxis(values.max(axis=-1), 0, 1)
-    later = int(volume.slice_at(_STAYS_S))
     stays = np.minimum(values[0], values[later]).max(axis=-1)
-    whole = np.asarray(inside.all(axis=-1))
-    last = np.where(np.all(whole, axis=1), x.shape[1], np.argmin(whole, axis=1)) - 1
-    return PathRisk(np.ascontiguousarray(risk), stays, step * np.maximum(last, 0).astype(np.float64))
+    return np.ascontiguousarray(risk), stays, np.asarray(inside.all(axis=-1))

@@ -14,10 +14,13 @@ Checks, each with the name under which a failure is reported:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from services.planner.backend import kernels
 from services.planner.bezier import Start
 from services.planner.footprint import PathRisk
 from services.planner.settings import PlannerSettings
@@ -102,6 +105,12 @@ class Field:
             settings.gap,
         )
 
+    @cached_property
+    def on_device(self) -> Any:
+        """The same for the kernels."""
+        names = ("hit", "room", "away", "law", "stays", "cap_squared", "end")
+        return kernels.roll_field({name: getattr(self, name) for name in names})
+
 
 @dataclass(frozen=True)
 class Rollouts:
@@ -121,7 +130,15 @@ class Rollouts:
 
 
 def roll_out(
-    field: Field, start: Start, path: Ints, target: F64, hold: F64, tier: Tier, settings: PlannerSettings
+    field: Field,
+    start: Start,
+    path: Ints,
+    target: F64,
+    hold: F64,
+    tier: Tier,
+    settings: PlannerSettings,
+    *,
+    reference: bool = False,
 ) -> Rollouts:
     """Drive K paths at K target speeds, each braking to rest after its hold.
 
@@ -133,16 +150,71 @@ def roll_out(
         hold: When the braking starts [K] [s]; beyond the horizon: never.
         tier: How hard may be braked.
         settings: The controller's.
+        reference: Keep to NumPy.
     """
     n = round(settings.horizon_s / DT)
+    times: F64 = np.asarray(DT * np.arange(n + 1), dtype=np.float64)
+    slices = np.clip(np.searchsorted(field.starts, times + 1e-9, side="right") - 1, 0, field.slices - 1)
+    if kernels is None or reference:
+        return _roll_out(field, start, path, target, hold, tier, settings, times, slices)
+    constants = {
+        "points": field.points,
+        "slices": field.slices,
+        "soft": int(tier.soft),
+        "tier": tier.index,
+        "step": field.step,
+        "dt": DT,
+        "speed": start.speed,
+        "acceleration": start.acceleration,
+        "look": _look(settings),
+        "gain": _gain(tier, settings),
+        "down": -tier.jerk * DT,
+        "up_brake": max(settings.release_jerk, tier.jerk) * DT,
+        "up_gas": settings.jerk * DT,
+        "up_comfort": max(settings.jerk, tier.jerk) * DT,
+        "brake": tier.brake,
+        "accel": settings.accel,
+        "hard": -1.05 * settings.tier_brake[0],
+        "jerk": settings.jerk,
+        "hold_s": settings.hold_s,
+        "clear": _CLEAR,
+        "soft_after": _SOFT_AFTER,
+        "headway": settings.headway,
+        "stop_brake": settings.stop_brake,
+    }
+    s, v, a, failure, failed_at = kernels.roll(field.on_device, constants, slices, path, target, hold)
+    return Rollouts(times, s, v, a, failure.astype(np.intp), failed_at.astype(np.intp))
+
+
+def _look(settings: PlannerSettings) -> float:
+    """How far ahead the cap is read [s]."""
+    return settings.tau + 0.5 * settings.curve_brake / settings.jerk
+
+
+def _gain(tier: Tier, settings: PlannerSettings) -> float:
+    """Of the speed controller [1/s]."""
+    return 1.0 / (settings.tau * (1.0, 0.6, 0.3)[tier.index])
+
+
+def _roll_out(
+    field: Field,
+    start: Start,
+    path: Ints,
+    target: F64,
+    hold: F64,
+    tier: Tier,
+    settings: PlannerSettings,
+    times: F64,
+    slices: Ints,
+) -> Rollouts:
+    n = len(times) - 1
     k = len(path)
     s, v, a = np.zeros(k), np.full(k, start.speed), np.full(k, start.acceleration)
     out_s, out_v, out_a = np.empty((n + 1, k)), np.empty((n + 1, k)), np.empty((n + 1, k))
     out_s[0], out_v[0], out_a[0] = s, v, a
     base = path * field.points
     inverse, last = 1.0 / field.step, field.points - 1.001
-    look = settings.tau + 0.5 * settings.curve_brake / settings.jerk
-    gain = 1.0 / (settings.tau * (1.0, 0.6, 0.3)[tier.index])
+    look, gain = _look(settings), _gain(tier, settings)
     down, up_brake, up_gas = -tier.jerk * DT, max(settings.release_jerk, tier.jerk) * DT, settings.jerk * DT
     up_comfort = max(settings.jerk, tier.jerk) * DT
     cap = np.sqrt(field.cap_squared)
@@ -180,14 +252,14 @@ def roll_out(
         s = s + moved
         v, a = v_new, a_new
         out_s[i + 1], out_v[i + 1], out_a[i + 1] = s, v, a
-    times: F64 = np.asarray(DT * np.arange(n + 1), dtype=np.float64)
-    failure, failed_at = _check(field, times, out_s, out_v, path, target, hold, tier, settings)
+    failure, failed_at = _check(field, times, slices, out_s, out_v, path, target, hold, tier, settings)
     return Rollouts(times, out_s.T, out_v.T, out_a.T, failure, failed_at)
 
 
 def _check(
     field: Field,
     times: F64,
+    slices: Ints,
     s: F64,
     v: F64,
     path: Ints,
@@ -198,7 +270,6 @@ def _check(
 ) -> tuple[Ints, Ints]:
     """First failed check of motions s, v [T, K] and its step, each [K]."""
     n, k = s.shape
-    slices = np.clip(np.searchsorted(field.starts, times + 1e-9, side="right") - 1, 0, field.slices - 1)
     cell = np.minimum((s * (1.0 / field.step)).astype(np.intp), field.points - 1)
     here = (path * (field.slices * field.points))[None] + (slices * field.points)[:, None] + cell
     moving = v > 0.05

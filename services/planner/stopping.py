@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from services.planner.footprint import Footprint
+from services.planner.footprint import Footprint, timed_risk
 from services.planner.settings import PlannerSettings
 from services.planner.trajectory import Motion, Path, brake_motion
 from services.planner.volume import Volume
@@ -43,6 +43,4 @@ def first_contact(
 def motion_risk(path: Path, motion: Motion, volume: Volume, footprint: Footprint) -> tuple[F64, npt.NDArray[np.bool_]]:
     """Footprint maximum of the slice in force at each sample of a motion [m], and whether all of it is on the grid."""
     x, y, heading, _ = path.at(motion.distance)
-    values, inside = volume.sample(*footprint.at(x, y, heading))
-    rows = np.arange(len(x))
-    return values.max(axis=-1)[volume.slice_at(motion.t), rows].astype(np.float64), np.asarray(inside.all(axis=-1))
+    return timed_risk(volume, footprint, x, y, heading, motion.t)

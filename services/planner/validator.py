@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from common.geometry import wrap_angle
 from common.messages import Ego, Plan, Trajectory
-from services.planner.footprint import Footprint
+from services.planner.footprint import Footprint, timed_risk
 from services.planner.settings import PlannerSettings
 from services.planner.volume import Volume
 
@@ -48,10 +48,7 @@ def trajectory_risk(
     """Footprint maximum at each sample of a trajectory [m], slice by its time, and whether all of it is known."""
     half = 0.5 * ego.wheelbase
     x, y = part.x - half * np.cos(part.heading), part.y - half * np.sin(part.heading)
-    values, known = volume.sample(*footprint.at(x, y, part.heading))
-    return values.max(axis=-1)[volume.slice_at(part.t), np.arange(len(x))].astype(np.float64), np.asarray(
-        known.all(axis=-1)
-    )
+    return timed_risk(volume, footprint, x, y, part.heading, part.t)
 
 
 def _motion_problem(part: Trajectory, ego: Ego, settings: PlannerSettings) -> str:
