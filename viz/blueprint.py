@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind
 
 from viz.colours import GROUND
+from viz.plots import SERVICES
 
 EGO = "world/ego"
 """Every spatial view is drawn in the ego's frame: it drives to the right, and left of it is up."""
+
+WHO = ["+ plan", *(f"+ {service}" for service in SERVICES)]
+"""Whose states and words are shown: each stands under its own name."""
+COLUMNS = [
+    TextLogColumn(kind=TextLogColumnKind.EntityPath, visible=True),
+    TextLogColumn(kind=TextLogColumnKind.Body, visible=True),
+]
 
 WINDOW_S = 20.0
 
@@ -21,25 +30,30 @@ def blueprint() -> rrb.Blueprint:
                 bird(
                     "Now, from above · the ego drives to the right",
                     ["+ world/**", "- world/map/virtual_line"],
-                    (46.0, -3.0),
-                    64.0,
+                    (48.0, -4.0),
+                    56.0,
                 ),
                 rrb.Horizontal(
                     bird(
                         "The slice that decided · everyone where predicted",
                         ["+ slice/**", "+ world/map/**", "+ world/plan/profile", "- world/map/virtual_line"],
-                        (38.0, 0.0),
-                        62.0,
+                        (34.0, 0.0),
+                        50.0,
                     ),
                     stack(),
                     column_shares=[1, 1],
                 ),
                 rrb.Horizontal(
-                    rrb.StateTimelineView(origin="state", name="Mode of the plan, health of the services"),
-                    rrb.TextLogView(origin="log", name="Log: what changed, and why"),
+                    rrb.StateTimelineView(origin="/", contents=WHO, name="Mode of the plan, health of the services"),
+                    rrb.TextLogView(
+                        origin="/",
+                        contents=WHO,
+                        name="Log: what changed, and why",
+                        columns=rrb.TextLogColumns(timeline_columns=["frame"], text_log_columns=COLUMNS),
+                    ),
                     column_shares=[1, 1],
                 ),
-                row_shares=[5, 4, 2],
+                row_shares=[10, 8, 5],
             ),
             rrb.Vertical(
                 rrb.Tabs(
@@ -50,7 +64,9 @@ def blueprint() -> rrb.Blueprint:
                 ),
                 series("plot/speed", "Speed [m/s]"),
                 series("plot/acceleration", "Acceleration [m/s²]"),
-                series("plot/max_risk", "Highest risk on the path, by slice [E_max]"),
+                series(
+                    "plot/max_risk", "Highest risk on the path · a curve a slice, yellow now, blue last [E_max]", False
+                ),
                 series("plot/latency", "Latency [ms]"),
                 row_shares=[4, 2, 2, 2, 2],
             ),
@@ -89,27 +105,26 @@ def stack() -> rrb.Spatial3DView:
             "+ stack/**",
             "+ world/map/**",
             "+ world/ego/body",
-            "- world/map/surface",
             "- world/map/virtual_line",
         ],
-        name="Time stack · up is later",
+        name="Time stack · up is later · what moves",
         background=rrb.Background(color=GROUND, kind="SolidColor"),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=(-45.0, -75.0, 75.0),
-            look_target=(45.0, 0.0, 12.0),
+            position=(-40.0, -48.0, 44.0),
+            look_target=(30.0, 2.0, 15.0),
             eye_up=(0.0, 0.0, 1.0),
         ),
     )
 
 
-def series(origin: str, name: str) -> rrb.TimeSeriesView:
+def series(origin: str, name: str, legend: bool = True) -> rrb.TimeSeriesView:
     """Curves of the last seconds, up to the time shown."""
     return rrb.TimeSeriesView(
         origin=origin,
         name=name,
-        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop, visible=legend),
         time_ranges=rr.VisibleTimeRange(
             "t",
             start=rr.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),

@@ -45,6 +45,11 @@ class Canvas:
         return np.stack((x, y, z), axis=-1).astype(np.float32)
 
 
+def turned(heading: float) -> rr.Quaternion:
+    """The one quaternion of a heading [rad]."""
+    return rr.Quaternion(xyzw=yaw(heading))
+
+
 def yaw(heading: npt.ArrayLike) -> F32:
     """Quaternions x, y, z, w of headings [rad], shape [..., 4]."""
     half = np.asarray(heading, dtype=np.float64) / 2

@@ -22,6 +22,8 @@ GREY: Colour = (150, 150, 150)
 GROUND: Colour = (12, 13, 18)
 """Background of the views."""
 ROAD: Colour = (44, 47, 56)
+EDGE: Colour = (110, 110, 125)
+"""Outline of the grid."""
 
 CLASS_COLOURS: dict[int, Colour] = {
     ObjectClass.UNKNOWN: GREY,
@@ -37,6 +39,10 @@ CLASS_HEIGHTS = {0: 1.5, 1: 1.5, 2: 3.4, 3: 3.2, 4: 1.5, 5: 1.6, 6: 1.75}
 """Height at which a box is drawn [m]; the messages know no heights."""
 
 _CLASS = np.array([CLASS_COLOURS[i] for i in range(len(ObjectClass))], dtype=np.uint8)
+_INFERNO = np.array(
+    ((0, 0, 4), (31, 12, 72), (85, 15, 109), (136, 34, 106), (186, 54, 85), (227, 89, 51), (249, 140, 10),
+     (249, 201, 50), (252, 255, 164)), dtype=np.float64,
+)  # fmt: skip
 _SLOW, _FAST = np.array((52, 78, 140.0)), np.array((150, 240, 255.0))
 
 
@@ -46,7 +52,7 @@ def of_class(cls: U8) -> U8:
 
 
 def faded(colour: npt.ArrayLike, share: npt.ArrayLike) -> U8:
-    """Colours [..., 3] brought towards the ground: share 1 keeps them, 0 lets them vanish; lines know no transparency."""
+    """Colours [..., 3] brought towards the ground: 1 keeps them, 0 lets them vanish; lines know no transparency."""
     s = np.clip(np.asarray(share, dtype=np.float64), 0.0, 1.0)[..., None]
     return np.asarray(np.asarray(colour) * s + np.array(GROUND) * (1 - s)).astype(np.uint8)
 
@@ -61,3 +67,15 @@ def of_slice(n: int) -> U8:
     """Colour of n slices: near ones bright yellow, far ones blue; shape [n, 3]."""
     share = np.linspace(0.0, 1.0, max(n, 1))[:, None]
     return np.asarray(np.array(YELLOW) * (1 - share) + np.array(BLUE) * share).astype(np.uint8)
+
+
+def see_through(n: int, faintest: float) -> npt.NDArray[np.uint32]:
+    """The heatmaps' scale in n steps as RGBA in memory order, clear below `faintest`, opaque at the top; [n]."""
+    share = np.linspace(0.0, 1.0, n)
+    at = np.linspace(0.0, 1.0, len(_INFERNO))
+    rgba = np.zeros((n, 4))
+    for k in range(3):
+        rgba[:, k] = np.interp(share, at, _INFERNO[:, k])
+    rgba[:, 3] = 255 * np.clip(0.25 + 0.75 * share, 0.0, 1.0)
+    rgba[share < faintest] = 0
+    return rgba.astype(np.uint8).view(np.uint32)[:, 0]

@@ -6,12 +6,15 @@ import numpy as np
 import rerun as rr
 
 from common.geometry import rectangle_corners
-from common.messages import U8, Candidates, Ego, Plan, Prediction, Risk, Trajectory
+from common.messages import U8, Candidates, Decision, Ego, Plan, Prediction, Risk, Trajectory
 from viz.canvas import F32, Canvas, yaw
 from viz.colours import CLASS_HEIGHTS, CLASS_NAMES, GREEN, PURPLE, VERMILION, WHITE, of_class, of_speed
-from viz.field import GROUND_OPACITY, GROUND_Z, coarser, heatmap
+from viz.field import GROUND_OPACITY, GROUND_Z, heatmap
+from viz.labels import apart, beside
 
 PATH_Z, TAIL_Z, CANDIDATE_Z = 0.30, 0.25, 0.12
+SIGN_M = 6.0
+"""How far beside its cell a sign stands [m]."""
 
 
 def log_candidates(canvas: Canvas, candidates: Candidates | None, points: int, top: float) -> None:
@@ -54,33 +57,60 @@ def log_path(canvas: Canvas, plan: Plan, lift: float, offset_s: float) -> None:
             canvas.log(f"{place}/plan/{name}", rr.LineStrips3D([strip], colors=[colour], radii=[r]))
 
 
-def log_decision(canvas: Canvas, plan: Plan, lift: float, offset_s: float) -> None:
-    """Mark the cell that decided, with the sentence beside it, on the ground and at its height in the stack."""
+def log_decision(canvas: Canvas, plan: Plan, lift: float, offset_s: float, heading: float) -> None:
+    """Mark the cell that decided, on the ground and at its height in the stack, with who it was and the risk there.
+
+    The sign stands beside the cell, on a thin line, so that it hides neither the cell nor its source.
+
+    Args:
+        canvas: where to draw.
+        plan: the plan.
+        lift: height of one second in the stack [m/s].
+        offset_s: the plan's capture, counted from the time at which the stack's lowest layer lies [s].
+        heading: of the ego [rad]; what is left of it is up in the views.
+    """
     decision = plan.decision
-    places = ("world/plan/decided", "stack/plan/decided", "slice/decided")
     if decision is None or decision.x is None or decision.y is None:
-        for path in places:
-            canvas.log(path, rr.Points3D([]))
+        for place in ("world/plan", "stack/plan", "slice"):
+            canvas.log(f"{place}/decided", rr.Points3D([]))
+            canvas.log(f"{place}/decided/line", rr.LineStrips3D([]))
+            canvas.log(f"{place}/decided/sign", rr.Points3D([]))
         return
     height = max((decision.slice_s or 0.0) + offset_s, 0.0) * lift + 0.5
-    for path, z in zip(places, (0.6, height, 0.6), strict=True):
+    aside = beside(decision.x, decision.y, heading, SIGN_M)
+    for place, z, sign in (
+        ("world/plan", 0.6, canvas.points(*aside, 0.6)),
+        ("stack/plan", height, canvas.points(decision.x, decision.y, height + 2 * SIGN_M)),
+        ("slice", 0.6, canvas.points(*aside, 0.6)),
+    ):
+        cell = canvas.points(decision.x, decision.y, z)
+        canvas.log(f"{place}/decided", rr.Points3D([cell], radii=[0.7], colors=[VERMILION]))
+        canvas.log(f"{place}/decided/line", rr.LineStrips3D([[cell, sign]], colors=[VERMILION], radii=[0.06]))
         canvas.log(
-            path,
-            rr.Points3D(
-                [canvas.points(decision.x, decision.y, z)],
-                radii=[0.7],
-                colors=[VERMILION],
-                labels=[wrapped(decision.sentence)],
-                show_labels=path != "world/plan/decided" or not decision.slice,
-            ),
+            f"{place}/decided/sign",
+            rr.Points3D([sign], radii=[0.01], colors=[VERMILION], labels=[brief(decision)], show_labels=True),
         )
+
+
+def brief(decision: Decision) -> str:
+    """Who decided and how high the risk is: `pedestrian 1 · 0.58`."""
+    name = source(decision) or decision.term or "decided"
+    return name if decision.risk is None else f"{name} · {decision.risk:.2f}"
+
+
+def source(decision: Decision) -> str:
+    """Class and id of what decided; empty: nothing on the road did."""
+    if decision.source_id is None:
+        return ""
+    kind = "source" if decision.source_cls is None else CLASS_NAMES.get(decision.source_cls, "line")
+    return f"{kind} {decision.source_id}"
 
 
 def log_decided_slice(
     canvas: Canvas, plan: Plan, plan_ns: int, risk: Risk, risk_ns: int, volume: U8, ego: Ego | None,
-    prediction: Prediction | None,
+    prediction: Prediction | None, labelled: int,
 ) -> None:  # fmt: skip
-    """Log the slice that decided: its field, everyone where they are predicted to be then, and the ego where it will be.
+    """Log the slice that decided: its field, everyone where predicted to be then, and the ego where it will be.
 
     Without a deciding slice it is the one with the highest risk on the chosen path, or the first.
 
@@ -93,12 +123,13 @@ def log_decided_slice(
         volume: the volume as bytes.
         ego: our own size.
         prediction: the predictions behind the volume, if known.
+        labelled: how many objects may carry a label.
     """
     j = deciding_slice(plan, len(risk.slice_times))
     t = risk.slice_times[j]
     grid = risk.grid
     corner = canvas.points(grid.x, grid.y, GROUND_Z)
-    canvas.log("slice/risk", heatmap(coarser(volume[j], 1), corner, grid.heading, grid.h, GROUND_OPACITY))
+    canvas.log("slice/risk", heatmap(volume[j], corner, grid.heading, grid.h, GROUND_OPACITY))
     if prediction is not None and len(prediction.id):
         x, y, heading = poses_at(prediction, t + risk.t_offset)
         height = np.array([CLASS_HEIGHTS[int(c)] for c in prediction.cls])
@@ -110,21 +141,29 @@ def log_decided_slice(
                 quaternions=yaw(heading),
                 colors=of_class(prediction.cls),
                 radii=0.07,
-                labels=[f"{CLASS_NAMES[int(c)]} {i}" for c, i in zip(prediction.cls, prediction.id, strict=True)],
-                show_labels=len(prediction.id) <= 12,
             ),
         )
+        decided = None if plan.decision is None else plan.decision.source_id
+        others = np.flatnonzero(prediction.id != decided)  # what decided has its sign
+        at = None if ego is None else (ego.x, ego.y, ego.heading)
+        k = others[apart(x[others], y[others], at, labelled)]
+        texts = [f"{CLASS_NAMES[int(prediction.cls[i])]} {prediction.id[i]}" for i in k]
+        where, colours = canvas.points(x[k], y[k], height[k] + 0.3), of_class(prediction.cls[k])
+        canvas.log("slice/label", rr.Points3D(where, radii=0.01, colors=colours, labels=texts, show_labels=True))
     else:
         canvas.log("slice/objects", rr.Boxes3D(half_sizes=[], centers=[]))
+        canvas.log("slice/label", rr.Points3D([]))
     strips: list[F32] = []
+    signs: list[F32] = []
     labels: list[str] = []
     if plan.profile is not None and len(plan.profile.t) and ego is not None:
         ahead = t + risk.t_offset + (risk_ns - plan_ns) * 1e-9
         box = footprint(canvas, plan.profile, max(ahead, 0.0), ego)
         strips, labels = [box], [f"ego in {max(ahead, 0.0):.1f} s"]
-    canvas.log(
-        "slice/ego", rr.LineStrips3D(strips, colors=[WHITE], radii=[0.14], labels=labels or None, show_labels=True)
-    )
+        x0, y0 = np.mean(box[:4, :2], axis=0) + (canvas.origin or (0.0, 0.0))
+        signs = [canvas.points(*beside(float(x0), float(y0), ego.heading, -1.5 * SIGN_M), 0.6)]
+    canvas.log("slice/ego", rr.LineStrips3D(strips, colors=[WHITE], radii=[0.14]))
+    canvas.log("slice/ego/sign", rr.Points3D(signs, radii=0.01, colors=[WHITE], labels=labels, show_labels=True))
 
 
 def deciding_slice(plan: Plan, n: int) -> int:
@@ -153,22 +192,12 @@ def footprint(canvas: Canvas, path: Trajectory, t: float, ego: Ego) -> F32:
     return canvas.points(corners[:, 0], corners[:, 1], 0.4)
 
 
-def wrapped(sentence: str, width: int = 56) -> str:
-    """Break a sentence into lines that fit beside a point."""
-    lines: list[str] = [""]
-    for word in sentence.split():
-        if lines[-1] and len(lines[-1]) + len(word) >= width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return "\n".join(lines)
-
-
 def story(plan: Plan, ego: Ego | None, limit: float | None) -> str:
     """What the vehicle does now and why, as Markdown."""
     mode = {"drive": "Driving", "waiting": "Waiting", "safe_stop": "**Safe stop**"}[plan.mode]
     lines = [f"### {mode}", plan.reason, ""]
     decision = plan.decision
-    if decision is not None:
+    if decision is not None and decision.sentence and decision.sentence not in plan.reason:
         lines += [f"**What decided:** {decision.sentence}", ""]
     lines += ["| | |", "|:--|:--|"]
     if ego is not None:
@@ -180,13 +209,13 @@ def story(plan: Plan, ego: Ego | None, limit: float | None) -> str:
         if decision.risk is not None:
             lines.append(f"| risk that decided | {decision.risk:.2f} |")
         if decision.slice is not None:
-            when = "" if decision.slice_s is None else f", from {decision.slice_s:.1f} s ahead"
+            ahead = decision.slice_s
+            when = "" if ahead is None else ", now" if ahead <= 0 else f", from {ahead:.1f} s ahead"
             lines.append(f"| slice | {decision.slice}{when} |")
         if decision.cell is not None:
             lines.append(f"| cell (i, j) | {decision.cell[0]}, {decision.cell[1]} |")
-        if decision.source_id is not None:
-            kind = CLASS_NAMES.get(decision.source_cls, "line") if decision.source_cls is not None else "source"
-            lines.append(f"| source | {kind} {decision.source_id} |")
+        if source(decision):
+            lines.append(f"| source | {source(decision)} |")
         if decision.term is not None:
             lines.append(f"| term | {decision.term} |")
     if plan.candidates is not None:

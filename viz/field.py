@@ -2,34 +2,39 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from common.messages import U8, Grid, Risk
-from viz.canvas import F32, Canvas, yaw
-from viz.colours import WHITE
+from common.messages import BLOCK, U8, Grid, Risk
+from viz.canvas import F32, Canvas, turned
+from viz.colours import EDGE, WHITE, see_through
 
 COLOURMAP = rr.components.Colormap.Inferno
 """Perceptually even and safe for colour-blind eyes; 0 is black."""
 GROUND_Z = -0.05
 GROUND_OPACITY = 0.8
-STACK_OPACITY = 0.45
 LEVELS = 255
+STACK_LEVELS = 32
+"""Colours of the time stack; fewer levels make a smaller file."""
+STACK_FAINTEST = 0.08
+"""Risk below this share of the scale is clear in the time stack."""
 
 
 def levels(field: npt.NDArray[np.floating], full_scale: float) -> U8:
     """Risk as bytes: 255 stands for `full_scale` and more, in steps of full_scale / 255."""
     if field.dtype == np.float16:
         return np.asarray(_half_levels(full_scale)[np.ascontiguousarray(field).view(np.uint16)])
-    return np.asarray(_rounded(field, full_scale))
+    return _rounded(field, full_scale)
 
 
 def _rounded(field: npt.NDArray[np.floating], full_scale: float) -> U8:
-    scaled = np.nan_to_num(field.astype(np.float32) * (LEVELS / full_scale), nan=LEVELS, posinf=LEVELS)
-    return np.clip(np.rint(scaled), 0, LEVELS).astype(np.uint8)
+    finite = np.nan_to_num(field.astype(np.float32), nan=full_scale, posinf=full_scale, neginf=0.0)
+    return np.asarray(np.rint(np.clip(finite, 0.0, full_scale) * (LEVELS / full_scale)), dtype=np.uint8)
 
 
 @lru_cache(maxsize=4)
@@ -38,22 +43,40 @@ def _half_levels(full_scale: float) -> U8:
     return _rounded(np.arange(65536, dtype=np.uint16).view(np.float16), full_scale)
 
 
+def static_cells(risk: Risk) -> npt.NDArray[np.bool_]:
+    """Which cells lie in a block whose `dominant` names a static source; shape of the volume."""
+    is_static = np.zeros(256, dtype=np.uint32)
+    is_static[: len(risk.slots)] = [slot.term == "static" for slot in risk.slots]
+    slices, rows, columns = risk.volume.shape
+    # a block's byte four times over is a row of its cells
+    wide = (is_static[risk.dominant] * np.uint32(0x01010101)).view(np.bool_)
+    return np.asarray(np.repeat(wide, BLOCK, axis=1)[:slices, :rows, :columns])
+
+
+def without_plateau(volume: U8, static: npt.NDArray[np.bool_]) -> U8:
+    """Levels with 0 where what stands still reaches the full scale: the field stays at its peak off the road."""
+    return np.asarray(volume * ~(static & (volume == LEVELS)))
+
+
 def coarser(field: U8, step: int) -> U8:
-    """Maximum of blocks of step × step cells; the last blocks may be smaller."""
+    """Maximum of blocks of step × step cells in the last two axes; the last blocks may be smaller."""
     if step == 1:
         return field
-    i, j = (-n % step for n in field.shape)
-    padded = np.pad(field, ((0, i), (0, j)))
-    return np.asarray(padded.reshape(padded.shape[0] // step, step, padded.shape[1] // step, step).max(axis=(1, 3)))
+    i, j = (-n % step for n in field.shape[-2:])
+    if i or j:
+        field = np.pad(field, [(0, 0)] * (field.ndim - 2) + [(0, i), (0, j)])
+    # rows first: they are contiguous
+    rows = np.maximum.reduce([field[..., k::step, :] for k in range(step)])
+    return np.asarray(np.maximum.reduce([rows[..., k::step] for k in range(step)]))
 
 
-def raster(field: U8) -> U8:
+def raster(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Image of a slice [i, j]: its columns grow with i (forward), its row 0 lies at the largest j (left)."""
     return np.ascontiguousarray(field.T[::-1])
 
 
-def heatmap(field: U8, corner: F32, heading: float, cell: float, opacity: float, order: float = 0.0) -> rr.GridMap:
-    """A slice [i, j] as a map whose lower left corner, cell (0, 0)'s outer one, lies at `corner`."""
+def heatmap(field: U8, corner: npt.ArrayLike, heading: float, cell: float, opacity: float) -> rr.GridMap:
+    """Levels [i, j] as a map whose lower left corner, cell (0, 0)'s outer one, lies at `corner`."""
     image = raster(field)
     return rr.GridMap(
         data=image.tobytes(),
@@ -61,22 +84,38 @@ def heatmap(field: U8, corner: F32, heading: float, cell: float, opacity: float,
             width=image.shape[1], height=image.shape[0], color_model="L", channel_datatype="U8"
         ),
         cell_size=cell,
-        translation=corner,
-        quaternion=yaw(heading),
+        translation=np.asarray(corner, dtype=np.float32),
+        quaternion=turned(heading),
         colormap=COLOURMAP,
         opacity=opacity,
-        draw_order=order,
     )
 
 
-def log_slice(canvas: Canvas, path: str, grid: Grid, field: U8, z: float, opacity: float, step: int = 1) -> None:
-    """Log one slice as a heatmap at height z [m]."""
-    corner = canvas.points(grid.x, grid.y, z)
-    canvas.log(path, heatmap(coarser(field, step), corner, grid.heading, grid.h * step, opacity))
+def layer(field: U8, corner: npt.ArrayLike, heading: float, cell: float) -> rr.GridMap:
+    """Levels [i, j] as a map through which one sees wherever there is little risk; placed like `heatmap`."""
+    image = raster(_layer_colours()[field])
+    return rr.GridMap(
+        data=image.tobytes(),
+        format=rr.components.ImageFormat(
+            width=image.shape[1], height=image.shape[0], color_model="RGBA", channel_datatype="U8"
+        ),
+        cell_size=cell,
+        translation=np.asarray(corner, dtype=np.float32),
+        quaternion=turned(heading),
+        opacity=0.98,  # the viewer heeds the image's own transparency only below 1
+    )
+
+
+@lru_cache(maxsize=1)
+def _layer_colours() -> npt.NDArray[np.uint32]:
+    steps = see_through(STACK_LEVELS, STACK_FAINTEST)
+    return steps[np.arange(LEVELS + 1) * STACK_LEVELS // (LEVELS + 1)]
 
 
 def log_risk(canvas: Canvas, risk: Risk, full_scale: float, lift: float | None, step: int) -> U8:
     """Log the first slice on the ground and, if `lift` is given, every slice of the time stack; returns the levels.
+
+    The plateau off the road is dark on the ground; the stack shows only what moves.
 
     Args:
         canvas: where to draw.
@@ -85,14 +124,30 @@ def log_risk(canvas: Canvas, risk: Risk, full_scale: float, lift: float | None, 
         lift: height of one second [m/s]; None: no stack.
         step: cells of the volume on a side of one cell of the stack.
     """
-    volume = levels(risk.volume, full_scale)
-    log_slice(canvas, "world/risk/now", risk.grid, volume[0], GROUND_Z, GROUND_OPACITY)
-    outline = corners(canvas, risk.grid, 0.0)
-    canvas.log("world/risk/edge", rr.LineStrips3D([outline], colors=[(110, 110, 125)], radii=[0.05]))
+    grid = risk.grid
+    static = static_cells(risk)
+    volume = without_plateau(levels(risk.volume, full_scale), static)
+    corner = canvas.points(grid.x, grid.y, GROUND_Z)
+    canvas.log("world/risk/now", heatmap(volume[0], corner, grid.heading, grid.h, GROUND_OPACITY))
+    outline = corners(canvas, grid, 0.0)
+    canvas.log("world/risk/edge", rr.LineStrips3D([outline], colors=[EDGE], radii=[0.05]))
     if lift is not None:
+        moving = coarser(volume * ~static, step)
         for j, t in enumerate(risk.slice_times):
-            log_slice(canvas, f"stack/risk/slice_{j:02d}", risk.grid, volume[j], t * lift, STACK_OPACITY, step)
+            at = canvas.points(grid.x, grid.y, t * lift)
+            canvas.log(f"stack/risk/slice_{j:02d}", layer(moving[j], at, grid.heading, grid.h * step))
+        _log_storeys(canvas, risk, lift)
     return volume
+
+
+def _log_storeys(canvas: Canvas, risk: Risk, lift: float) -> None:
+    # the outline of every second slice of a whole second, with its time, so that height reads as time
+    times = [t for t in risk.slice_times if abs(t / 2 - round(t / 2)) < 1e-6] or risk.slice_times[:1]
+    outlines = [corners(canvas, risk.grid, t * lift) for t in times]
+    canvas.log("stack/storey", rr.LineStrips3D(outlines, colors=[EDGE], radii=[0.06]))
+    signs = np.stack([outline[2] for outline in outlines])
+    texts = [f"in {t:g} s" if t else "now" for t in times]
+    canvas.log("stack/storey/time", rr.Points3D(signs, radii=0.01, colors=[WHITE], labels=texts, show_labels=True))
 
 
 def log_exact(canvas: Canvas, risk: Risk, full_scale: float) -> None:
@@ -126,31 +181,28 @@ def corners(canvas: Canvas, grid: Grid, z: float) -> F32:
 
 def log_legend(canvas: Canvas, full_scale: float, e_max: float, speeds: F32, colours: U8, top: float) -> None:
     """Log the scales, in the ego's frame, where the bird's-eye view shows them: risk, desired speed, 20 metres."""
-    y = -27.0
+    y = -24.0
+    low, high = -26.0, 4.0
     ramp = np.repeat(np.arange(0, 256, dtype=np.uint8)[:, None], 8, axis=1)
-    length = 30.0
-    canvas.log("world/ego/legend/risk", heatmap(ramp, np.float32((-28, y, 0)), 0.0, length / 256, 1.0))
-    marks = [0.0, full_scale / 3, 2 * full_scale / 3, full_scale]
-    texts = [f"{m / e_max:.2g}" for m in marks]
+    canvas.log("world/ego/legend/risk", heatmap(ramp, (low, y, 0), 0.0, (high - low) / 256, 1.0))
+    shares = (0.0, 1 / 3, 2 / 3, 1.0)
+    texts = [f"{share * full_scale / e_max:.2g}" for share in shares]
     texts[0], texts[-1] = "risk 0", f"≥ {texts[-1]} E_max"
-    _texts(canvas, "world/ego/legend/risk_scale", [(-28 + length * m / full_scale, y - 1.6, 0) for m in marks], texts)
-    x = np.linspace(12.0, 42.0, len(speeds) + 1)
-    canvas.log(
-        "world/ego/legend/speed",
-        rr.LineStrips3D([[(a, y + 0.5, 0), (b, y + 0.5, 0)] for a, b in zip(x[:-1], x[1:], strict=True)],
-                        colors=colours, radii=0.45),
-    )  # fmt: skip
+    _texts(canvas, "world/ego/legend/risk_scale", [(low + (high - low) * s, y - 1.4, 0) for s in shares], texts)
+    x = np.linspace(26.0, 54.0, len(speeds) + 1)
+    bars = [[(a, y + 0.5, 0), (b, y + 0.5, 0)] for a, b in itertools.pairwise(x)]
+    canvas.log("world/ego/legend/speed", rr.LineStrips3D(bars, colors=colours, radii=0.45))
     _texts(
         canvas,
         "world/ego/legend/speed_scale",
-        [(12, y - 1.6, 0), (42, y - 1.6, 0)],
-        ["candidate 0 m/s", f"{top:.0f} m/s"],
+        [(26, y - 1.4, 0), (54, y - 1.4, 0)],
+        ["candidates: 0", f"{top:.0f} m/s"],
     )
     canvas.log(
         "world/ego/legend/length",
-        rr.LineStrips3D([[(56, y + 1, 0), (56, y, 0), (76, y, 0), (76, y + 1, 0)]], colors=[WHITE], radii=[0.12]),
+        rr.LineStrips3D([[(72, y + 1, 0), (72, y, 0), (92, y, 0), (92, y + 1, 0)]], colors=[WHITE], radii=[0.12]),
     )
-    _texts(canvas, "world/ego/legend/length_scale", [(66, y - 1.6, 0)], ["20 m"])
+    _texts(canvas, "world/ego/legend/length_scale", [(82, y - 1.4, 0)], ["20 m"])
 
 
 def _texts(canvas: Canvas, path: str, where: list[tuple[float, float, float]], texts: list[str]) -> None:

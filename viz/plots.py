@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import rerun as rr
 
 from common.messages import Plan, Status
+from common.topics import STATUS_OF
 from viz.canvas import Canvas
 from viz.colours import GREEN, ORANGE, PURPLE, SKY, VERMILION, WHITE, YELLOW, Colour, of_slice
 
@@ -33,16 +34,17 @@ STATES: dict[str, Colour] = {
     "stopping": PURPLE,
     "silent": VERMILION,
 }
-SERVICES = ("predictor", "riskfield", "planner")
+SERVICES = tuple(name for name in STATUS_OF if name != "viz")
+"""Who reports its health; each stands under its own name."""
 
 
 def log_styles(canvas: Canvas) -> None:
     """Log names, colours and states, once."""
     for path, (name, colour, width) in SERIES.items():
         canvas.log(path, rr.SeriesLines(names=[name], colors=[colour], widths=[width]), static=True)
-    _states(canvas, "state/plan", MODES)
+    _states(canvas, "plan", MODES)
     for service in SERVICES:
-        _states(canvas, f"state/{service}", STATES)
+        _states(canvas, rr.escape_entity_path_part(service), STATES)
 
 
 def _states(canvas: Canvas, path: str, states: dict[str, Colour]) -> None:
@@ -88,13 +90,13 @@ class Changes:
 def log_mode(canvas: Canvas, plan: Plan, changes: Changes) -> None:
     """Log the plan's mode where it changes, and its reason and decision as text where they do."""
     if changes.news("mode", plan.mode):
-        canvas.log("state/plan", rr.StateChange(state=plan.mode))
+        canvas.log("plan", rr.StateChange(state=plan.mode))
     sentence = plan.decision.sentence if plan.decision is not None else ""
     source = "" if plan.decision is None else f"{plan.decision.term} of {_spelt(plan.decision.source_id)}"
     if changes.news("plan", f"{plan.mode} {plan.reason} {source}"):
         level = {"drive": "INFO", "waiting": "WARN", "safe_stop": "ERROR"}[plan.mode]
         text = f"{plan.mode}: {plan.reason}" + (f" · {sentence}" if sentence and sentence != plan.reason else "")
-        canvas.log("log/plan", rr.TextLog(text, level=level))
+        canvas.log("plan", rr.TextLog(text, level=level))
 
 
 def _spelt(identity: int | None) -> str:
@@ -104,11 +106,12 @@ def _spelt(identity: int | None) -> str:
 
 def log_state(canvas: Canvas, service: str, state: str, reason: str, changes: Changes) -> None:
     """Log a service's state where it changes, with its reason."""
+    path = rr.escape_entity_path_part(service)
     if changes.news(f"state {service}", state):
-        canvas.log(f"state/{service}", rr.StateChange(state=state))
+        canvas.log(path, rr.StateChange(state=state))
     if changes.news(f"reason {service}", f"{state} {reason}"):
         level = "INFO" if state in ("ready", "starting", "stopping") else "WARN"
-        canvas.log(f"log/{service}", rr.TextLog(f"{state}: {reason}", level=level))
+        canvas.log(path, rr.TextLog(f"{state}: {reason}", level=level))
 
 
 def log_status(canvas: Canvas, status: Status, changes: Changes) -> None:
@@ -118,7 +121,7 @@ def log_status(canvas: Canvas, status: Status, changes: Changes) -> None:
         if not counter.endswith(":sent") and not counter.startswith("mode:") and changes.news(
             f"{status.service} {counter}", "counted"
         ):  # fmt: skip
-            canvas.log(f"log/{status.service}", rr.TextLog(f"first {counter} ({n})", level="DEBUG"))
+            canvas.log(rr.escape_entity_path_part(status.service), rr.TextLog(f"first {counter} ({n})", level="DEBUG"))
 
 
 def log_health(canvas: Canvas, statuses: dict[str, Status]) -> None:

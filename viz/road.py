@@ -33,8 +33,8 @@ def log_map(canvas: Canvas, road: Map) -> None:
         for line, kind in ((lane.left, lane.left_type), (lane.right, lane.right_type)):
             pieces = dashes(line) if kind == "dashed" else [line]
             strips[kind].extend(canvas.points(p[:, 0], p[:, 1], 0.01) for p in pieces)
-    for kind, (name, colour, radius) in LINES.items():
-        log_strips(canvas, f"world/map/{name}", strips[kind], colour, radius)
+    for line_kind, (name, line_colour, radius) in LINES.items():
+        log_strips(canvas, f"world/map/{name}", strips[line_kind], line_colour, radius)
     for kind, colour in (("barrier", LINES["barrier"][1]), ("kerb", LINES["kerb"][1]), ("stop_line", GREY)):
         these = [o for o in road.obstacles if o.kind == kind]
         canvas.log(
@@ -52,7 +52,7 @@ def log_map(canvas: Canvas, road: Map) -> None:
             rr.Mesh3D(
                 vertex_positions=vertices,
                 triangle_indices=triangles,
-                vertex_normals=np.tile(np.float32((0, 0, 1)), (len(vertices), 1)),
+                vertex_normals=np.tile(np.array((0, 0, 1), np.float32), (len(vertices), 1)),
                 albedo_factor=(*ROAD, 255),
             ),
         )
@@ -136,7 +136,7 @@ class SpeedLimits:
         self._wanted = route.speed_limit if route is not None and route.speed_limit > 0 else None
 
     def at(self, x: float, y: float) -> float | None:
-        """Limit [m/s] at a point of the `map` frame: the lane's or the route's, whichever is lower; None: neither known."""
+        """Limit [m/s] at a point of the `map` frame, the lower of the lane's and the route's; None: neither known."""
         if self._limits is None:
             return self._wanted
         lane = float(self._limits[np.argmin(np.hypot(*(self._points - (x, y)).T))])

@@ -1,7 +1,7 @@
 """When something is shown: frame number and seconds of the run, from the times at which contents were true.
 
-A frame begins with each `objects` message; risk and prediction belong to the frame whose objects caused them, everything
-else to the frame in which it was captured. Without objects, a frame begins every tenth of a second.
+A frame begins with each `objects` message; risk and prediction belong to the frame whose objects caused them,
+everything else to the frame in which it was captured. Without objects, a frame begins every tenth of a second.
 """
 
 from __future__ import annotations

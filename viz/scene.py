@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import rerun as rr
@@ -19,10 +20,12 @@ from viz.colours import of_speed
 from viz.run_time import RunTime
 from viz.settings import VizSettings
 
+V = TypeVar("V")
+
 SILENT_NS = 2_000_000_000
 KEPT_VOLUMES = 4
-JITTER = 0.8
-"""Rates are limited with this share of the period, so that a message that comes a little early is not lost."""
+EARLY = 0.2
+"""A message may come this share of the period too early and is still drawn."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class Scene:
         self._predictions: OrderedDict[tuple[str, int], Prediction] = OrderedDict()
         self._volumes: OrderedDict[tuple[str, int], Volume] = OrderedDict()
         self._statuses: dict[str, Stamped[Status]] = {}
-        self._drawn: dict[str, int] = {}
+        self._next: dict[str, int] = {}
         self._top_speed = 0.0
         self._full_scale = (0.0, 0.0)
         self._story = ""
@@ -126,7 +129,8 @@ class Scene:
         trails = [
             self._trails.add(i, when.t, float(x), float(y)) for i, x, y in zip(ids, objects.x, objects.y, strict=True)
         ]
-        near = None if self._ego is None else (self._ego.value.x, self._ego.value.y)
+        ego = None if self._ego is None else self._ego.value
+        near = None if ego is None else (ego.x, ego.y, ego.heading)
         self._canvas.set_time(when)
         traffic.log_objects(self._canvas, objects, trails, near, self._settings.labelled, self._left_out)
 
@@ -188,12 +192,14 @@ class Scene:
             self._raise_top(float(plan.candidates.desired_speed.max()))
         decision.log_candidates(canvas, plan.candidates, s.candidate_points, self._top_speed)
         decision.log_path(canvas, plan, s.lift, offset)
-        decision.log_decision(canvas, plan, s.lift, offset)
+        heading = 0.0 if ego is None else ego.heading
+        decision.log_decision(canvas, plan, s.lift, offset, heading)
         if volume is not None:
             risk = volume.risk
             decision.log_decided_slice(
-                canvas, plan, stamped.capture_ns, risk.value, risk.capture_ns, volume.levels, ego, volume.prediction
-            )
+                canvas, plan, stamped.capture_ns, risk.value, risk.capture_ns, volume.levels, ego, volume.prediction,
+                s.labelled,
+            )  # fmt: skip
         if plan.slice_risk is not None and len(plan.slice_risk.risk):
             times = [float(t) for t in plan.slice_risk.t]
             if self._changes.news("slices", "i" * len(times)):
@@ -224,10 +230,12 @@ class Scene:
     # --- helpers ---
 
     def _due(self, what: str, ns: int, hz: float) -> bool:
-        last = self._drawn.get(what)
-        if last is not None and 0 <= ns - last < JITTER * 1e9 / hz:
+        period = round(1e9 / hz)
+        due = self._next.get(what, ns)
+        if due - 2 * period < ns < due - EARLY * period:
             return False
-        self._drawn[what] = ns
+        # counted from when it was due, so that what comes early now and then does not raise the rate
+        self._next[what] = (due if due - period < ns < due + period else ns) + period
         return True
 
     def _raise_top(self, speed: float) -> None:
@@ -244,7 +252,7 @@ class Scene:
         field.log_legend(self._canvas, full_scale, e_max, speeds, of_speed(speeds, top), top)
 
 
-def _keep(store: OrderedDict, key: tuple[str, int], value: object) -> None:
+def _keep(store: OrderedDict[tuple[str, int], V], key: tuple[str, int], value: V) -> None:
     store[key] = value
     while len(store) > KEPT_VOLUMES:
         store.popitem(last=False)

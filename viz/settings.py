@@ -19,7 +19,7 @@ class VizSettings(Settings, frozen=True):
     scenario: str = ""
     """Name stored in the recording; empty: `live`."""
     serve: Annotated[int, Meta(ge=0, le=65535)] = 0
-    """Port on which a viewer can watch live; 0: none. The server knows no authentication, so it listens on `address`."""
+    """Port on which a viewer can watch live; 0: none. The server knows no authentication: it listens on `address`."""
     address: str = "127.0.0.1"
     """Address of that server; anything but loopback shows the drive to everyone who reaches it."""
     server_memory: str = "256MiB"
@@ -33,11 +33,11 @@ class VizSettings(Settings, frozen=True):
     """Highest rate at which risk, candidates and objects are drawn [Hz]."""
     ego_hz: Positive = 20.0
     """Highest rate at which the ego is drawn [Hz]."""
-    exact_hz: Annotated[float, Meta(ge=0.0)] = 1.0
+    exact_hz: Annotated[float, Meta(ge=0.0)] = 0.5
     """Rate at which the volume is stored with its own numbers (float16 tensor) [Hz]; 0: never."""
     stack: bool = True
-    """Draw all slices as layers lifted by time; otherwise only the first and the one that decided."""
-    stack_step: Annotated[int, Meta(ge=1, le=8)] = 1
+    """Draw the moving part of all slices as layers lifted by time; else only the first and the one that decided."""
+    stack_step: Annotated[int, Meta(ge=1, le=8)] = 2
     """Cells of the volume that one cell of a layer stands for, along each side; their maximum is shown."""
     lift: Positive = 6.0
     """Height that one second of the future takes in the time stack [m/s]."""
@@ -46,6 +46,6 @@ class VizSettings(Settings, frozen=True):
     trail_s: Annotated[float, Meta(ge=0.0)] = 3.0
     """How much of the driven path is drawn behind objects and ego [s]."""
     labelled: Annotated[int, Meta(ge=0)] = 16
-    """How many objects, the nearest first, carry a label."""
-    candidate_points: Annotated[int, Meta(ge=2)] = 16
+    """How many objects, the nearest first, may carry a label; fewer where they would cover each other."""
+    candidate_points: Annotated[int, Meta(ge=2)] = 12
     """Points drawn for each candidate."""

@@ -9,8 +9,9 @@ import numpy as np
 import rerun as rr
 
 from common.messages import Ego, Objects, Prediction
-from viz.canvas import Canvas, yaw
+from viz.canvas import Canvas, turned, yaw
 from viz.colours import CLASS_HEIGHTS, CLASS_NAMES, GREY, WHITE, faded, of_class
+from viz.labels import apart
 
 FRAMES_PER_SEGMENT = 10
 FRAMES_PER_POINT = 5
@@ -44,7 +45,7 @@ def log_ego(canvas: Canvas, ego: Ego, trail: np.ndarray) -> None:
     """Log the ego's pose (the frame in which the views are drawn), its box and its trail."""
     canvas.log(
         "world/ego",
-        rr.Transform3D(translation=canvas.points(ego.x, ego.y), quaternion=yaw(ego.heading)),
+        rr.Transform3D(translation=canvas.points(ego.x, ego.y), quaternion=turned(ego.heading)),
     )
     if len(trail) > 1:
         canvas.log(
@@ -63,16 +64,16 @@ def log_ego_body(canvas: Canvas, length: float, width: float) -> None:
             colors=[WHITE],
             radii=[0.09],
             fill_mode="TransparentFillMajorWireframe",
-            labels=["ego"],
-            show_labels=True,
         ),
     )
+    behind = [(-length / 2 - 5.0, 0.0, 0.1)]
+    canvas.log("world/ego/name", rr.Points3D(behind, radii=0.01, colors=[WHITE], labels=["ego"], show_labels=True))
     nose = [(length / 2 - 1.2, width / 2, 1.55), (length / 2, 0, 1.55), (length / 2 - 1.2, -width / 2, 1.55)]
     canvas.log("world/ego/nose", rr.LineStrips3D([nose], colors=[WHITE], radii=[0.09]))
 
 
 def log_objects(
-    canvas: Canvas, objects: Objects, trails: list[np.ndarray], near: tuple[float, float] | None, labelled: int,
+    canvas: Canvas, objects: Objects, trails: list[np.ndarray], near: tuple[float, float, float] | None, labelled: int,
     left_out: dict[int, str],
 ) -> None:  # fmt: skip
     """Log boxes by class, headings, labels (id, class, speed) of those nearest to `near`, and driven trails.
@@ -81,8 +82,8 @@ def log_objects(
         canvas: where to draw.
         objects: the objects.
         trails: driven path of each object, [points, 2], in the order of the ids.
-        near: position of the ego [m], if known.
-        labelled: how many objects carry a label.
+        near: position [m] and heading [rad] of the ego, if known.
+        labelled: how many objects may carry a label.
         left_out: objects that do not count in the risk, and why.
     """
     colours = of_class(objects.cls)
@@ -116,10 +117,7 @@ def log_objects(
             radii=0.09,
         ),
     )
-    order = np.arange(len(objects.id))
-    if near is not None:
-        order = np.argsort(np.hypot(objects.x - near[0], objects.y - near[1]), kind="stable")
-    order = order[:labelled]
+    order = apart(objects.x, objects.y, near, labelled)
     speed = np.hypot(objects.vx, objects.vy)
     canvas.log(
         "world/objects/label",

@@ -1,4 +1,4 @@
-"""A made-up drive that needs no service: two lanes, a slow car ahead, others beside; plausible, not the paper's equations."""
+"""A made-up drive that needs no service: two lanes, a slow car ahead, others beside; plausible, not the equations."""
 
 from __future__ import annotations
 
@@ -9,13 +9,44 @@ from typing import Any
 import numpy as np
 
 from common.messages import (
-    NO_SLOT, Candidates, Cause, Closures, Decision, Ego, Goal, Grid, InputHealth, Lane, LeftOut, Map, Objects,
-    Obstacle, Plan, Prediction, Risk, Route, SliceRisk, Slot, Stamped, Status, Trajectory,
+    BLOCK,
+    NO_SLOT,
+    Candidates,
+    Cause,
+    Closures,
+    Decision,
+    Ego,
+    Goal,
+    Grid,
+    InputHealth,
+    Lane,
+    LeftOut,
+    Map,
+    Objects,
+    Obstacle,
+    Plan,
+    Prediction,
+    Risk,
+    Route,
+    SliceRisk,
+    Slot,
+    Stamped,
+    Status,
+    Trajectory,
 )  # fmt: skip
 
 SLICES = 13
 ROWS, COLUMNS, H, BEHIND = 400, 160, 0.4, 30.0 * 1.0
 BOOT = "synthetic0"
+
+
+def of_blocks(volume: np.ndarray, source: np.ndarray) -> np.ndarray:
+    """What `source` names at the highest cell of each block."""
+    pad = [(0, 0), (0, -volume.shape[1] % BLOCK), (0, -volume.shape[2] % BLOCK)]
+    wide, named = np.pad(volume, pad, constant_values=-1.0), np.pad(source, pad)
+    shape = (len(wide), wide.shape[1] // BLOCK, BLOCK, wide.shape[2] // BLOCK, BLOCK)
+    cells = [a.reshape(shape).swapaxes(2, 3).reshape(*shape[:2], shape[3], BLOCK**2) for a in (wide, named)]
+    return np.take_along_axis(cells[1], cells[0].argmax(axis=-1)[..., None], axis=-1)[..., 0]
 
 
 @dataclass(frozen=True)
@@ -115,24 +146,39 @@ class Drive:
         gd = (np.arange(self.columns) + 0.5)[None, :] * self.h - half
         times = [0.5 * j for j in range(SLICES)]
         volume = np.zeros((SLICES, self.rows, self.columns), np.float32)
+        most = np.zeros_like(volume)
+        source = np.full(volume.shape, NO_SLOT, np.uint8)
         s, d, speed, _, length, width = self.others(t)
+
+        def add(j: int, slot: int, share: np.ndarray) -> None:
+            volume[j] += share
+            larger = share > most[j]
+            most[j] = np.maximum(most[j], share)
+            source[j][larger] = slot
+
         for j, tj in enumerate(times):
             for i in range(len(s)):
                 lo = np.maximum(np.abs(gs - s[i] - speed[i] * tj) - length[i] / 2, 0)
                 la = np.maximum(np.abs(gd - d[i]) - width[i] / 2, 0)
                 distance = np.hypot(lo, la)
-                volume[j] += np.where(distance < 25, 1.0 / (1.0 + 0.8 * distance**2), 0.0)
+                near = np.where(distance < 25, 1.0 / (1.0 + 0.8 * distance**2), 0.0)
                 front = np.clip(1 - (gs - s[i] - speed[i] * tj - length[i] / 2) / (3 * speed[i] + 1), 0, 1)
                 ahead = gs > s[i] + speed[i] * tj
-                volume[j] += 0.5 * front * ahead * np.maximum(0, 1 - (gd - d[i]) ** 2 / 3.2)
-            for line, peak in ((-1.75, 1.5), (1.75, 0.1), (5.25, 1.5)):
-                volume[j] += peak * np.clip(1 - np.abs(gd - line) / 0.6, 0, 1) ** 2
-        blocks = (SLICES, -(-self.rows // 4), -(-self.columns // 4))
+                add(j, i, near + 0.5 * front * ahead * np.maximum(0, 1 - (gd - d[i]) ** 2 / 3.2))
+            # beyond the road's edges the field stays at its peak
+            for k, (far, peak) in enumerate(((-1.75 - gd, 1.5), (-np.abs(gd - 1.75), 0.1), (gd - 5.25, 1.5))):
+                add(j, len(s) + k, peak * np.clip(1 + far / 0.6, 0, 1) ** 2 + 0 * gs)
         return Risk(
-            grid=self.grid(t), slice_times=times, slots=[Slot(i + 11, "potential", int(c)) for i, c in enumerate(
-                self.others(t)[3])], left_out=[LeftOut(13, "follows")], volume=volume.astype(np.float16),
-            dominant=np.full(blocks, NO_SLOT, np.uint8),
-        )  # fmt: skip
+            grid=self.grid(t),
+            slice_times=times,
+            slots=[
+                *(Slot(i + 11, "potential", int(c)) for i, c in enumerate(self.others(t)[3])),
+                *(Slot(k, "static", -1, label) for k, label in enumerate(("kerb", "lane_line", "barrier"))),
+            ],
+            left_out=[LeftOut(13, "follows")],
+            volume=volume.astype(np.float16),
+            dominant=of_blocks(volume, source),
+        )
 
     def trajectory(self, t: float, d_end: float, accel: float, t0: float, t1: float, v0: float) -> Trajectory:
         tau = np.arange(t0, t1 + 1e-9, 0.1)
@@ -141,7 +187,7 @@ class Drive:
         share = np.clip(s / 45.0, 0, 1)
         d = d_end * share**2 * (3 - 2 * share)
         x, y = self.world(self.speed * t + s, d)
-        slope = np.gradient(d, np.maximum(s, s[0] + 1e-3 * np.arange(len(s))))
+        slope = np.gradient(d, s + 1e-3 * np.arange(len(s)))
         v[-1] = 0.0 if accel < -2 else v[-1]
         return Trajectory(
             t=tau, x=x, y=y, heading=self.angle + np.arctan(slope), curvature=np.zeros(len(tau)), speed=v,
@@ -170,7 +216,9 @@ class Drive:
             tail=self.trajectory(t, 3.4, -4.0, 0.3, 0.3 + self.speed / 4.0 + 0.1, self.speed), desired_speed=11.3,
             chosen=9, candidates=Candidates(x=np.array(xs), y=np.array(ys), desired_speed=np.array(speeds),
                                             score=-np.array(speeds)),
-            slice_risk=SliceRisk(t=times, risk=0.3 + 0.4 * np.exp(-((times - 3) ** 2)) * (1 + 0.2 * np.sin(t)), x=x, y=y),
+            slice_risk=SliceRisk(
+                t=times, risk=0.3 + 0.4 * np.exp(-((times - 3) ** 2)) * (1 + 0.2 * np.sin(t)), x=x, y=y
+            ),
             decision=Decision(
                 sentence=f"Slows to 11.3 m/s: the kinetic term of car 11 reaches 0.62 at 3.0 s, {24.0:.0f} m ahead.",
                 slice=6, slice_s=3.0 - age, cell=cell, x=float(lead_x), y=float(lead_y), source_id=11, source_cls=1,
