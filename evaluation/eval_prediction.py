@@ -23,6 +23,7 @@ from evaluation.trajectory_windows import Recorded, Recording, Windows, joined, 
 from rig.settings import RigSettings
 from rig.sources import load_scenario
 from rig.world import Scenario, Track
+from services.predictor.blend import lane_path_network_speed
 from services.predictor.history import Frames
 from services.predictor.kinematic import Motion, State, constant_velocity, ctra, estimate
 from services.predictor.lanes import LaneIndex
@@ -36,6 +37,7 @@ NETWORKS = ("lstm", "lstm_no_risk", "lstm_no_attention", "lstm_paper")
 POLICY_METHODS: dict[str, Policy] = {
     "policy_paper": "paper",
     "policy_learned_first": "learned-first",
+    "policy_learned_on_lanes": "learned-on-lanes",
     "policy_map_first": "map-first",
     "policy_kinematic": "kinematic",
 }
@@ -162,9 +164,16 @@ def _predicted(data: Windows, map: Map | None, models: Models, settings: Predict
         Method.MAP_BASED: followed,
         Method.LSTM: motions[models.default],
     }
-    for name, policy in POLICY_METHODS.items():
-        motions[name] = _composed(POLICIES[policy](known), by_method)
-    motions["policy_default"] = _composed(POLICIES[settings.policy](known), by_method)
+    if map is not None:
+        learned = motions[models.default]
+        if on_lane.any():
+            part = lane_path_network_speed(state.take(on_lane), _part(followed, on_lane), _part(learned, on_lane))
+            learned = _with(learned, part, on_lane)
+        motions["lstm_on_lanes"] = learned
+    on_lanes = {**by_method, Method.LSTM: motions.get("lstm_on_lanes", motions[models.default])}
+    for name, policy in (*POLICY_METHODS.items(), ("policy_default", settings.policy)):
+        parts = on_lanes if policy == "learned-on-lanes" else by_method
+        motions[name] = _composed(POLICIES[policy](known), parts)
     positions = {name: np.stack((m.x, m.y), axis=-1) for name, m in motions.items()}
     if models.ridge is not None:
         positions["ridge"] = models.ridge.predict(data, state)
@@ -176,6 +185,10 @@ def _with(base: Motion, part: Motion, rows: scoring.Bool) -> Motion:
     for name in ("x", "y", "heading", "speed"):
         getattr(merged, name)[rows] = getattr(part, name)
     return merged
+
+
+def _part(motion: Motion, rows: scoring.Bool) -> Motion:
+    return Motion(motion.x[rows], motion.y[rows], motion.heading[rows], motion.speed[rows])
 
 
 def _composed(method: np.ndarray[Any, np.dtype[np.uint8]], by_method: Mapping[Method, Motion]) -> Motion:

@@ -39,7 +39,7 @@ HoldOut = Annotated[
 Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
 Sets = Annotated[list[str] | None, typer.Option("--set", help="One setting; may be repeated.", metavar="KEY=VALUE")]
 TorchDevice = Annotated[str, typer.Option("--device", help="Where to train.", metavar="cpu|cuda")]
-Method = Literal["paper", "learned-first", "map-first", "kinematic"]
+Method = Literal["paper", "learned-first", "learned-on-lanes", "map-first", "kinematic"]
 assert get_args(Method) == get_args(Policy)
 
 

@@ -2,6 +2,7 @@
 
 - `paper`: off the lanes and with 30 frames of history → learned; on a lane → map; otherwise kinematic.
 - `learned-first`: with 30 frames of history → learned; otherwise on a lane → map; otherwise kinematic.
+- `learned-on-lanes`: the same; who is on a lane moves along its path, as far as the network says (`blend`).
 - `map-first`: on a lane → map; otherwise kinematic.
 - `kinematic`: kinematic alone.
 
@@ -94,12 +95,13 @@ def kinematic(known: Known) -> U8:
 POLICIES: dict[Policy, Callable[[Known], U8]] = {
     "paper": paper,
     "learned-first": learned_first,
+    "learned-on-lanes": learned_first,
     "map-first": map_first,
     "kinematic": kinematic,
 }
 
 
-LEARNED_POLICIES: tuple[Policy, ...] = ("paper", "learned-first")
+LEARNED_POLICIES: tuple[Policy, ...] = ("paper", "learned-first", "learned-on-lanes")
 """Policies that ask for a network."""
 
 

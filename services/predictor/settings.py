@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from common.config import Settings
 
-Policy = Literal["paper", "learned-first", "map-first", "kinematic"]
+Policy = Literal["paper", "learned-first", "learned-on-lanes", "map-first", "kinematic"]
 
 Positive = Annotated[float, Meta(gt=0.0, le=1e3)]
 
