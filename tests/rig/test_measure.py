@@ -211,3 +211,11 @@ def test_the_summary_of_nothing_is_a_summary() -> None:
     found = Measure(scenario()).summary()
     assert found["ego"]["distance_m"] == 0.0
     assert found["interventions"] == []
+
+
+def test_a_run_that_begins_inside_its_goal_is_not_over_before_it_began() -> None:
+    s = scenario(goal=Goal(x=0.0, y=0.0, radius=4.0))
+    left_for_good = driven([10.0] * 300, lambda t: nobody(), s=s)
+    assert left_for_good.goal_t is None
+    stayed = driven([0.0] * 1001, lambda t: nobody(), s=s)
+    assert stayed.goal_t == pytest.approx(s.duration_s, abs=0.06)
