@@ -1,6 +1,6 @@
 """Alarms in recorded traffic, in which nobody crashes: how often each method would cry wolf for an hour of driving.
 
-Some recorded vehicles of each recording take the ego's part, one after another. At each frame every method assumes that
+Of each recording the vehicle that drives farthest takes the ego's part. At each frame every method assumes that
 the ego goes on along the path that it was recorded on, at its present speed; the others are seen as always.
 """
 
@@ -22,11 +22,11 @@ from rig.sources import load_scenario, recorded_scenarios
 from rig.sources.tables import read
 from rig.world import Scenario, ScenarioError, Track
 
-EGOS = 2
-"""Vehicles of one recording that take the ego's part."""
-RECORDINGS = 3
+EGOS = 1
+"""How many vehicles of one recording take the ego's part."""
+RECORDINGS = 2
 """Recordings of one table."""
-LONGEST_S = 15.0
+LONGEST_S = 12.0
 """Of one vehicle's drive, at most so much is looked at [s]."""
 WARM_FRAMES = 10
 """Frames at the beginning that only make the history."""

@@ -59,11 +59,20 @@ class Seen:
     """NaN where commonroad-crime is not installed."""
 
 
+ALERT: Tree = {"kinematic": {"turn_sure": 0.35, "braking_sure_mps2": 2.0}, "map": {"swerve_max": 0.3}}
+"""An alarm's predictor believes strong turns and braking at once; chosen on tuning seeds, see docs/hazards.md."""
+
+
+def alert_predictor() -> PredictorSettings:
+    """The predictor's settings with `ALERT`."""
+    return config.section({"predictor": ALERT}, "predictor", PredictorSettings)
+
+
 @dataclass(frozen=True)
 class Cores:
     """How the two services are configured."""
 
-    predictor: PredictorSettings = field(default_factory=PredictorSettings)
+    predictor: PredictorSettings = field(default_factory=alert_predictor)
     risk: RiskParameters = field(default_factory=RiskParameters)
 
     @staticmethod

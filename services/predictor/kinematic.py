@@ -7,7 +7,7 @@ The state is estimated from the past alone, by backward differences. With p_k th
     a = (|p_0 − p_5| − |p_5 − p_10|) / (5τ)² · φ / sin φ           acceleration along the path; φ = ω 5τ / 2
 
 ω and a are taken from the last second and from the second that ended half a second ago, and only what both say
-counts: noise seldom says the same twice.
+counts: noise seldom says the same twice. A turn or a braking that is far stronger than noise counts at once.
 """
 
 from __future__ import annotations
@@ -86,9 +86,12 @@ def estimate(objects: Objects, frames: Frames, settings: KinematicSettings) -> S
 
     turns, accelerations = zip(*(_halves(frames, back, settings) for back in (0, HALF)), strict=True)
     a = _common(*accelerations)
+    a = np.where(_begins(-accelerations[0], -accelerations[1], settings.braking_sure_mps2), accelerations[0], a)
     a = np.clip(a, -settings.deceleration_max_mps2, settings.acceleration_max_mps2) * believed
     a = np.where((np.abs(a) >= settings.acceleration_min_mps2) & (v > 0), a, 0.0)
     omega = _common(*turns)
+    begins = _begins(turns[0], turns[1], settings.turn_sure) | _begins(-turns[0], -turns[1], settings.turn_sure)
+    omega = np.where(begins, turns[0], omega)
     bound = np.minimum(settings.turn_rate_max, settings.lateral_max_mps2 / np.maximum(v, 1e-3))
     omega = np.clip(omega, -bound, bound) * _fade_in(v, settings.turn_from_mps)
     omega = np.where(np.abs(omega) >= settings.turn_rate_min, omega, 0.0)
@@ -125,6 +128,11 @@ def _halves(frames: Frames, back: int, settings: KinematicSettings) -> tuple[F64
 def _common(a: F64, b: F64) -> F64:
     """What both say: the smaller magnitude where the signs agree, otherwise 0."""
     return np.asarray(np.where(a * b > 0, np.copysign(np.minimum(np.abs(a), np.abs(b)), a), 0.0))
+
+
+def _begins(now: F64, before: F64, sure: float) -> Bool:
+    """Whether the last second alone says it: beyond `sure`, growing, and not against what the second before says."""
+    return np.asarray((now > sure) & (now > before) & (before > -sure / 4))
 
 
 def constant_velocity(state: State) -> Motion:

@@ -124,11 +124,12 @@ class LaneIndex:
         distance = np.hypot(rx - u * tx, ry - u * ty)
         off = wrap_angle(state.course[obj] - self._pheading[piece])
         half = self._phalf[piece]
-        ok = np.flatnonzero((distance <= half + settings.margin_m) & (np.abs(off) <= settings.heading_tolerance))
-        obj, piece, u, off = obj[ok], piece[ok], u[ok], off[ok]
         swerve = np.where(
             state.speed[obj] > 2.0, state.turn_rate[obj] - state.speed[obj] * self._pcurvature[piece], 0.0
         )
+        follows = (np.abs(off) <= settings.heading_tolerance) & (np.abs(swerve) <= settings.swerve_max)
+        ok = np.flatnonzero((distance <= half + settings.margin_m) & follows)
+        obj, piece, u, off, swerve = obj[ok], piece[ok], u[ok], off[ok], swerve[ok]
         cost = (distance[ok] / half[ok]) ** 2 + (off / 0.3) ** 2 + (swerve / 0.2) ** 2
         order = np.lexsort((piece, cost, obj))
         best = order[_first(obj[order])]
