@@ -25,7 +25,7 @@ from services.predictor.learned import LearnedPredictor
 from services.predictor.lstm import Architecture, Network
 from services.predictor.settings import PredictorSettings
 from services.predictor.surrounding_risk import RISK_POINTS
-from services.predictor.weights import SHIPPED, Loaded, load
+from services.predictor.weight_files import SHIPPED, Loaded, load
 
 SIZES = (32, 128)
 START_NS = 10**9

@@ -25,7 +25,7 @@ from services.predictor.kinematic import estimate
 from services.predictor.learned import motion_of
 from services.predictor.lstm import Architecture, Form
 from services.predictor.settings import PredictorSettings
-from services.predictor.weights import Loaded
+from services.predictor.weight_files import Loaded
 
 ARMS = ("full", "no_risk", "no_attention", "no_leader")
 

@@ -31,7 +31,7 @@ from services.predictor.learned import motion_of
 from services.predictor.map_based import map_based
 from services.predictor.selection import DRIVES_ON_LANES, POLICIES, Known, kinematic_method
 from services.predictor.settings import Policy, PredictorSettings
-from services.predictor.weights import SHIPPED, Loaded, WeightsError, load, read_card
+from services.predictor.weight_files import SHIPPED, Loaded, WeightsError, load, read_card
 
 NETWORKS = ("lstm", "lstm_no_risk", "lstm_no_attention", "lstm_paper")
 POLICY_METHODS: dict[str, Policy] = {

@@ -21,7 +21,7 @@ from evaluation.trajectory_windows import Windows
 from services.predictor import features
 from services.predictor.kinematic import State, constant_velocity
 from services.predictor.surrounding_risk import VELOCITY_STEPS
-from services.predictor.weights import WeightsError
+from services.predictor.weight_files import WeightsError
 
 POINTS = (1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 24, 29)
 """Frames of the history that are read."""

@@ -29,7 +29,7 @@ from services.predictor.kinematic import constant_velocity, estimate
 from services.predictor.learned import motion_of
 from services.predictor.lstm import Architecture
 from services.predictor.settings import PredictorSettings
-from services.predictor.weights import CARD, SCHEMA, Loaded, save
+from services.predictor.weight_files import CARD, SCHEMA, Loaded, save
 
 GENERATED = "sumo_"
 """How recordings of generated traffic are named."""

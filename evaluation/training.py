@@ -36,23 +36,23 @@ LEARNED_CLASSES = (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS)
 class Options:
     """How to train."""
 
-    steps: int = 2500
-    batch: int = 192
+    steps: int = 1000
+    batch: int = 128
     rate: float = 1e-3
-    warm_up: int = 100
+    warm_up: int = 60
     decay: float = 0.02
     clip: float = 1.0
-    recorded_share: float = 0.35
+    recorded_share: float = 0.2
     """Share of recorded windows in each batch, the rest is generated."""
     speed_scale: float = 0.35
     """Speeds are scaled by e^±this."""
     turn_rad: float = 0.05
     """Own frames are laid askew by up to this."""
-    noise_m: float = 0.12
+    noise_m: float = 0.3
     """Largest deviation of correlated noise of the positions [m]; white noise gets a third."""
     late: float = 1.0
     """Errors at time t weigh (0.5 s + t)^−late: 0 counts metres alike, 1 leaves the far end a little more."""
-    average: float = 0.998
+    average: float = 0.995
     """Weights are averaged exponentially over the steps, by this factor."""
     seed: int = 0
 

@@ -65,15 +65,15 @@ def train_predictor(
     hold_out: HoldOut = None,
     networks: Annotated[
         str, typer.Option("--networks", help="Names, comma separated; the first is the default.")
-    ] = "lstm,lstm_no_risk,lstm_no_attention,lstm_paper",
+    ] = "lstm_no_risk,lstm,lstm_no_attention,lstm_no_leader,lstm_paper",
     hidden: Hidden = 32,
     steps: Steps = 1000,
     seed: Seed = 0,
     stride: Stride = 5,
-    recorded_share: Annotated[float, typer.Option("--recorded-share", help="Of each batch.", min=0.0, max=1.0)] = 0.35,
+    recorded_share: Annotated[float, typer.Option("--recorded-share", help="Of each batch.", min=0.0, max=1.0)] = 0.2,
     shrink: Annotated[
         tuple[float, float], typer.Option("--shrink", help="Of the residual, in the city and on fast roads.")
-    ] = (1.0, 1.0),
+    ] = (1.0, 0.9),
     device: TorchDevice = "cpu",
 ) -> None:
     """Train the predictor on trajectory tables and write a folder of weights with its model card."""
@@ -136,10 +136,11 @@ def eval_prediction(
             writable(option, path)
         if bool(tracks) == bool(scenarios):
             raise ConfigError("give either --tracks FILES … or --scenarios FILES …")
+        files = _files("--tracks", tracks, more) if tracks else []
         models = measuring.models_of(weights)
         risk = config.section(tree, "risk", RiskParameters)
         if tracks:
-            cases = measuring.track_cases(_files("--tracks", tracks, more), risk, stride)
+            cases = measuring.track_cases(files, risk, stride)
         else:
             names = [*(scenarios or []), *(more or [])]
             cases = measuring.scenario_cases(names, risk, config.section(tree, "rig", RigSettings), stride)
@@ -233,7 +234,7 @@ def bench_predictor(
 @contextmanager
 def _exits() -> Iterator[None]:
     """As every command; refused weights and data that give nothing to do are bad input too."""
-    from services.predictor.weights import WeightsError
+    from services.predictor.weight_files import WeightsError
 
     with exits():
         try:

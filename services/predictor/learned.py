@@ -23,7 +23,7 @@ from services.predictor.kinematic import Motion, State, constant_velocity
 from services.predictor.selection import LEARNED_POLICIES
 from services.predictor.settings import PredictorSettings
 from services.predictor.surrounding_risk import VELOCITY_STEPS
-from services.predictor.weights import SHIPPED, Loaded, WeightsError, load
+from services.predictor.weight_files import SHIPPED, Loaded, WeightsError, load
 
 GAP_NS = 1_000_000_000
 COURSE_MPS = 0.5

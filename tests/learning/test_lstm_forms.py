@@ -19,7 +19,7 @@ from services.predictor.kinematic import constant_velocity, estimate
 from services.predictor.learned import motion_of
 from services.predictor.lstm import Architecture, Network
 from services.predictor.settings import KinematicSettings
-from services.predictor.weights import Loaded
+from services.predictor.weight_files import Loaded
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made import track, traffic, turning

@@ -20,7 +20,7 @@ from services.predictor.learned import LearnedPredictor
 from services.predictor.lstm import Architecture, Network
 from services.predictor.settings import HistorySettings
 from services.predictor.surrounding_risk import Scene, surrounding_risk
-from services.predictor.weights import Loaded
+from services.predictor.weight_files import Loaded
 
 sys.path.insert(0, str(Path(__file__).parent))
 from made import traffic, turning

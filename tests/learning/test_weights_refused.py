@@ -17,7 +17,7 @@ from services.predictor.core import Predictor
 from services.predictor.learned import load_learned
 from services.predictor.lstm import Architecture, Network
 from services.predictor.settings import LearnedSettings, PredictorSettings
-from services.predictor.weights import CARD, SCHEMA, SHIPPED, WeightsError, load, read_card, save
+from services.predictor.weight_files import CARD, SCHEMA, SHIPPED, WeightsError, load, read_card, save
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from common.messages import ObjectClass
 from services.predictor.lstm import Architecture, Network
 
 CARD = "model.json"
-SHIPPED = Path(__file__).with_name("weights_shipped")
+SHIPPED = Path(__file__).with_name("weights")
 SCHEMA = 1
 BYTES_MAX = 16 * 2**20
 """Largest file that is read [bytes]."""
