@@ -27,8 +27,11 @@ class VizSettings(Settings, frozen=True):
     footer: bool = True
     """Finish the file with an index when it is closed. It costs memory while recording; without it a file still opens,
     and `rerun rrd optimize IN -o OUT` adds it afterwards."""
-    flush_s: Positive = 0.25
-    """Rows wait this long to share a chunk [s]: smaller files, a live picture later by as much."""
+    flush_s: Positive = 1.0
+    """Rows wait this long to share a chunk [s]: smaller files, and as much is lost with a process that is killed. While
+    a live viewer is served it is `live_flush_s`, if that is less."""
+    live_flush_s: Positive = 0.2
+    """A live picture is later by as much [s]; the file is larger by half."""
     heavy_hz: Positive = 10.0
     """Highest rate at which risk, candidates and objects are drawn [Hz]."""
     ego_hz: Positive = 20.0

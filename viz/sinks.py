@@ -28,7 +28,8 @@ def recording(settings: VizSettings, scenario: str, blueprint: rrb.Blueprint) ->
     Raises:
         SinkError: no such folder, or the port is taken.
     """
-    batcher = rr.ChunkBatcherConfig(flush_tick=settings.flush_s)
+    flush_s = min(settings.flush_s, settings.live_flush_s) if settings.serve else settings.flush_s
+    batcher = rr.ChunkBatcherConfig(flush_tick=flush_s)
     rec = rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4(), batcher_config=batcher)
     sinks: list[Any] = []
     if settings.record:

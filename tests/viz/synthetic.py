@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -262,7 +262,7 @@ def messages(drive: Drive, frames: int, start_ns: int = 10**12) -> Iterator[tupl
                 yield f"status/{service}", stamp(drive.status(service, t), now, 60, None, n, 0)
 
 
-def play(scene: Any, drive: Drive, frames: int) -> None:
-    """Give a scene a whole drive."""
-    for topic, message in messages(drive, frames):
+def give(scene: Any, heard: Iterable[tuple[str, Stamped[Any]]]) -> None:
+    """Give a scene what was heard."""
+    for topic, message in heard:
         getattr(scene, topic.split("/")[0])(message)
