@@ -31,10 +31,10 @@ SIZES = (32, 128)
 START_NS = 10**9
 
 
-def measure(weights: Path | None = None, *, rounds: int = 60) -> dict[str, Any]:
-    """Times in milliseconds (medians) and their ratios."""
+def measure(weights: Path | None = None, *, name: str = "lstm", rounds: int = 60) -> dict[str, Any]:
+    """Times in milliseconds (medians) and their ratios; `name`: the network, by default the one that reads the risk."""
     torch.set_num_threads(1)
-    loaded = load(SHIPPED if weights is None else weights)
+    loaded = load(SHIPPED if weights is None else weights, name)
     architecture = loaded.network.architecture
     eager = Network(Architecture(form="paper", hidden=architecture.hidden)).eval().requires_grad_(False)
     jobs: dict[str, Callable[[], object]] = {}

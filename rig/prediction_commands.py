@@ -217,6 +217,7 @@ def generate_traffic(
 def bench_predictor(
     json_: Json = None,
     weights: Annotated[Path | None, typer.Option("--weights", help="Folder of weights; default: shipped.")] = None,
+    network: Annotated[str, typer.Option("--network", help="Its name in the folder's card.")] = "lstm",
     rounds: Annotated[int, typer.Option("--rounds", min=5)] = 60,
 ) -> None:
     """Measure surrounding risk and inference against the eager autoregressive form and the matrix products."""
@@ -224,7 +225,7 @@ def bench_predictor(
         from evaluation import bench_predictor as measuring
 
         writable("--json", json_)
-        result = measuring.measure(weights, rounds=rounds)
+        result = measuring.measure(weights, name=network, rounds=rounds)
         if json_ is not None:
             write(json_, result)
         for key in ("ms_32", "ms_128", "ratio_vs_eager", "ratio_vs_gemm_floor", "ratio_128_to_32"):

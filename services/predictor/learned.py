@@ -68,7 +68,8 @@ class LearnedPredictor:
     def observe(self, objects: Objects, history: Frames, ego: Stamped[Ego] | None, capture_ns: int) -> None:
         """Sample surrounding risk and leaders of every object of one message."""
         scene = signals.scene_of(objects, history, None if ego is None else ego.value)
-        values = signals.instant_signals(scene, len(objects.id), self._risk)
+        reads_risk = self.loaded.network.architecture.risk
+        values = signals.instant_signals(scene, len(objects.id), self._risk, risk=reads_risk)
         self._samples = signals.observed(self._samples, capture_ns, objects.id, values, GAP_NS)
 
     def predict(self, objects: Objects, history: Frames, state: State, wanted: Bool) -> Motion:

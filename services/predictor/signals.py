@@ -43,9 +43,10 @@ Samples = tuple[Sample, ...]
 """Oldest first."""
 
 
-def instant_signals(scene: Scene, targets: int, p: RiskParameters) -> F32:
-    """Signals of the first `targets` road users of a scene, shape [targets, SIGNALS]."""
-    return np.concatenate((surrounding_risk(scene, targets, p), leader_signals(scene, targets)), axis=1)
+def instant_signals(scene: Scene, targets: int, p: RiskParameters, *, risk: bool = True) -> F32:
+    """Signals of the first `targets` road users of a scene, shape [targets, SIGNALS]; without `risk` zeros for it."""
+    field = surrounding_risk(scene, targets, p) if risk else np.zeros((targets, RISK_POINTS), dtype=np.float32)
+    return np.concatenate((field, leader_signals(scene, targets)), axis=1)
 
 
 def scene_of(objects: Objects, frames: Frames, ego: Ego | None) -> Scene:
