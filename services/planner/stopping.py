@@ -8,6 +8,7 @@ import numpy.typing as npt
 from services.planner.footprint import Footprint, timed_risk
 from services.planner.settings import PlannerSettings
 from services.planner.trajectory import Motion, Path, brake_motion
+from services.planner.validator import contact_bound
 from services.planner.volume import Volume
 
 F64 = npt.NDArray[np.float64]
@@ -23,7 +24,7 @@ def stopping_tail(
     if volume is None or v <= 0.0:
         return motions[0]
     risk = float(motion_risk(path, profile.until(0.1), volume, footprint)[0][0])
-    bound = settings.r_hit if risk < settings.r_hit else risk + 0.1  # as the validator sees it
+    bound = contact_bound(risk, settings)
     for motion in motions[:-1]:
         if first_contact(path, motion, volume, footprint, bound) is None:
             return motion

@@ -83,6 +83,8 @@ def _motion_problem(part: Trajectory, ego: Ego, settings: PlannerSettings) -> st
     low = np.minimum(part.acceleration[1:], part.acceleration[:-1]) * dt  # between two samples it is one of these
     high = np.maximum(part.acceleration[1:], part.acceleration[:-1]) * dt
     change = np.diff(part.speed)
+    # within the step that ends at rest the brake is let go: any that the limits allow will do
+    low = np.where(part.speed[1:] <= 0.0, -settings.max_brake * dt, low)
     for value, bound, what in (
         (np.abs(along - way), 0.05 + 0.03 * way, "position and speed disagree by {:.3f} m"),
         (np.abs(across), 0.05 + 0.02 * way, "the vehicle would slide by {:.3f} m"),
@@ -108,6 +110,14 @@ def _joint_problem(profile: Trajectory, tail: Trajectory, valid_for: float) -> s
     return ""
 
 
+def contact_bound(start_risk: float, settings: PlannerSettings) -> float:
+    """Risk that a moving footprint must stay below: contact, or no worse than where it already is.
+
+    The search reads the volume between stations, this check at the samples: 0.05 E_max (5 cm) stands between them.
+    """
+    return max(settings.r_hit, start_risk + 0.05) + 0.05
+
+
 def _risk_problem(
     part: Trajectory,
     ego: Ego,
@@ -120,7 +130,7 @@ def _risk_problem(
 ) -> str:
     risk, known = trajectory_risk(part, volume, footprint, ego)
     moving = part.speed > 0.05
-    bound = settings.r_hit if start_risk < settings.r_hit else start_risk + 0.1
+    bound = contact_bound(start_risk, settings)
     braking = bool(np.all(np.diff(part.speed) <= 1e-9)) and _brakes_hard(part, settings)
     bad = moving & ~(risk <= bound)
     if bad.any() and not braking:
