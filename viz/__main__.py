@@ -12,8 +12,6 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-import msgspec
-
 from common import config, topics
 from common.bus import Bus, BusSettings, Inbox, NoRouterError, open_bus
 from common.clock import monotonic
@@ -42,9 +40,9 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         tree = config.load()
         service = config.section(tree, "service", ServiceSettings)
-        settings = config.section(tree, "viz", VizSettings)
         given = {k: v for k in ("record", "serve", "scenario") if (v := getattr(options, k)) is not None}
-        settings = msgspec.structs.replace(settings, **given)
+        tree = {**tree, "viz": {**tree.get("viz", {}), **given}}
+        settings = config.section(tree, "viz", VizSettings)
         logging.basicConfig(
             level=service.log_level, stream=sys.stderr, format="%(asctime)s viz %(levelname)s %(message)s"
         )

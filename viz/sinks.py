@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import logging
+import socket
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +17,8 @@ import rerun.blueprint as rrb
 from viz.settings import VizSettings
 
 APPLICATION = "forefield"
+
+log = logging.getLogger("forefield")
 
 
 class SinkError(ValueError):
@@ -38,6 +42,7 @@ def recording(settings: VizSettings, scenario: str, blueprint: rrb.Blueprint) ->
             raise SinkError(f"viz.record: {path.parent}: no such folder; create it or record elsewhere")
         sinks.append(rr.FileSink(path, write_footer=settings.footer))
     if settings.serve:
+        _check_free(settings.address, settings.serve)
         sinks.append(rr.GrpcServerSink(settings.address, settings.serve, server_memory_limit=settings.server_memory))
     try:
         if sinks:
@@ -48,8 +53,23 @@ def recording(settings: VizSettings, scenario: str, blueprint: rrb.Blueprint) ->
     try:
         yield rec
     finally:
-        rec.flush(timeout_sec=2.0)
+        try:
+            rec.flush(timeout_sec=2.0)
+        except RuntimeError as e:  # a server that has gone must not keep the file from being finished
+            log.warning("not everything was written: %s", e)
         rec.disconnect()
+
+
+def _check_free(address: str, port: int) -> None:
+    # Rerun's server would only log that it cannot listen
+    with socket.socket() as s:
+        s.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            s.bind((address, port))
+        except OSError as e:
+            raise SinkError(
+                f"viz.serve: cannot listen on {address}:{port}: {e.strerror}; choose another port"
+            ) from None
 
 
 def log_about(rec: rr.RecordingStream, scenario: str, configuration: dict[str, Any], settings: VizSettings) -> None:
