@@ -41,6 +41,7 @@ from rig.tally import Tally, quantiles
 from services.planner.core import Planner
 from services.planner.settings import PlannerSettings
 from services.predictor.core import Predictor
+from services.predictor.learned import load_learned
 from services.predictor.settings import PredictorSettings
 from services.riskfield.core import RiskField
 from services.riskfield.settings import RiskfieldSettings
@@ -233,7 +234,8 @@ class _OneProcess:
         risk = config.section(tree, "risk", RiskParameters)
         riskfield = config.section(tree, "riskfield", RiskfieldSettings)
         self._scene = scene
-        self._predictor = Predictor(config.section(tree, "predictor", PredictorSettings), risk)
+        settings = config.section(tree, "predictor", PredictorSettings)
+        self._predictor = Predictor(settings, risk, load_learned(settings, risk)[0])
         self._riskfield = RiskField(riskfield, risk, riskfield.device)
         self._riskfield.warm_up()
         self.device = self._riskfield.device

@@ -103,7 +103,7 @@ class LearnedSettings(Settings, frozen=True, kw_only=True):
 class PredictorSettings(Settings, frozen=True, kw_only=True):
     """Section `[predictor]`."""
 
-    policy: Policy = "map-first"
+    policy: Policy = "learned-on-lanes"
     """Which method predicts which object: see `selection`."""
     past_frames: Annotated[int, Meta(ge=1, le=29)] = 10
     """Frames of the path already driven that travel with the prediction."""
