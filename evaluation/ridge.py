@@ -25,7 +25,7 @@ from services.predictor.weight_files import WeightsError
 
 POINTS = (1, 2, 3, 4, 6, 8, 10, 13, 16, 20, 24, 29)
 """Frames of the history that are read."""
-PENALTY = 3.0
+PENALTY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -47,18 +47,14 @@ class Ridge:
         return z, velocity, frame
 
     @staticmethod
-    def fit(data: Windows, chance: F64) -> Ridge:
-        """Weighted least squares over windows with 60 frames of future; mirrored ones count as well."""
+    def fit(data: Windows) -> Ridge:
+        """Least squares over windows with 60 frames of future."""
         z, velocity, frame = Ridge.inputs(data)
         ahead = frame.into(data.future[..., 0], data.future[..., 1])
         t = FRAME_S * np.arange(1, PREDICTION_FRAMES + 1)
         y = (ahead - velocity[:, None] * t[:, None]).reshape(len(z), -1)
-        side = np.tile([1.0, -1.0], len(POINTS))
-        mirror = np.concatenate((side, [1.0, 1.0]))
-        z, y = np.concatenate((z, z * mirror)), np.concatenate((y, y * np.tile([1.0, -1.0], PREDICTION_FRAMES)))
-        w = np.concatenate((chance, chance)) / 2
-        gram = (z * w[:, None]).T @ z + PENALTY * 1e-3 * np.eye(z.shape[1])
-        return Ridge(np.asarray(np.linalg.solve(gram, (z * w[:, None]).T @ y), dtype=np.float64))
+        gram = z.T @ z / len(z) + PENALTY * np.eye(z.shape[1])
+        return Ridge(np.asarray(np.linalg.solve(gram, z.T @ y / len(z)), dtype=np.float64))
 
     def predict(self, data: Windows, state: State) -> F64:
         """Positions [n, 60, 2], behind the same stop gate as the networks."""

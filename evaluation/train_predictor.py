@@ -23,8 +23,8 @@ from common.risk import RiskParameters
 from evaluation import prediction_scores as scoring
 from evaluation.eval_prediction import as_service
 from evaluation.ridge import Ridge
-from evaluation.training import LEARNED_CLASSES, Fitted, Options, Pool, fit, learnable
-from evaluation.trajectory_windows import Recording, Windows, recordings, windows
+from evaluation.training import LEARNED_CLASSES, Fitted, Options, Pool, augmented, fit, learnable
+from evaluation.trajectory_windows import Recording, Windows, joined, recordings, windows
 from services.predictor.kinematic import constant_velocity, estimate
 from services.predictor.learned import motion_of
 from services.predictor.lstm import Architecture
@@ -35,6 +35,8 @@ GENERATED = "sumo_"
 """How recordings of generated traffic are named."""
 LEAST_FUTURE = 10
 """Recorded windows with at least so many frames of future are trained on."""
+RIDGE_WINDOWS = 40_000
+"""Windows that ridge regression is fitted to."""
 HELD = 5
 """Every fifth recording is held out where no site is."""
 LIMITS = (
@@ -150,15 +152,12 @@ def train(
             "steps": plan.steps,
             "held_out": figures(loaded, moving),
         }
-    ridge_data = data.generated if data.generated is not None else data.recorded
-    full = [d.take(d.known >= PREDICTION_FRAMES) for d in (data.recorded, ridge_data)]
-    pool = max(full, key=len)
     card = {
         "schema": SCHEMA,
         "default": wanted[0].name,
         "classes": [c.name.lower() for c in LEARNED_CLASSES],
         "networks": networks,
-        "ridge": Ridge.fit(pool, Pool(pool).chance).save(out),
+        "ridge": _ridge(data, options).save(out),
         "data": {
             "recorded_windows": len(data.recorded),
             "recorded_sites": sorted({data.recorded.sites[i] for i in np.unique(data.recorded.recording)}),
@@ -175,6 +174,20 @@ def train(
     (out / CARD).write_text(json.dumps(card, indent=1) + "\n")
     curve(curves, out / "training.png")
     return card
+
+
+def _ridge(data: Data, options: Options) -> Ridge:
+    """The baseline, fitted to what the networks see: the same shares, augmentation and noise."""
+    rng = np.random.default_rng([options.seed, 7])
+    parts = []
+    share = options.recorded_share if data.generated is not None else 1.0
+    for windows_, part in ((data.recorded, share), (data.generated, 1.0 - share)):
+        whole = None if windows_ is None else windows_.take(windows_.known >= PREDICTION_FRAMES)
+        if whole is not None and len(whole):
+            parts.append(augmented(Pool(whole).draw(round(RIDGE_WINDOWS * part), rng), rng, options))
+    if not parts:
+        raise ValueError("no window with 6 s of future: nothing to fit the ridge baseline to")
+    return Ridge.fit(joined(parts))
 
 
 def figures(loaded: Loaded, data: Windows) -> dict[str, Any]:

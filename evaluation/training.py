@@ -11,7 +11,7 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ class Options:
     turn_rad: float = 0.05
     """Own frames are laid askew by up to this."""
     noise_m: float = 0.3
-    """Largest deviation of correlated noise of the positions [m]; white noise gets a third."""
+    """Largest deviation of correlated noise of the positions [m], small ones oftener; white noise gets a third."""
     late: float = 1.0
     """Errors at time t weigh (0.5 s + t)^−late: 0 counts metres alike, 1 leaves the far end a little more."""
     average: float = 0.995
@@ -96,23 +96,33 @@ def learnable(data: Windows) -> Windows:
     return data.take(np.isin(data.cls, LEARNED_CLASSES) & moving)
 
 
+def augmented(data: Windows, rng: np.random.Generator, options: Options) -> Windows:
+    """Windows mirrored, faster or slower, and with noise in their histories; each about its own present position."""
+    n = len(data)
+    ox, oy = data.x[:, :1], data.y[:, :1]
+    flip = np.where(rng.random(n) < 0.5, -1.0, 1.0)[:, None]
+    scale = np.exp(rng.uniform(-1.0, 1.0, n) * options.speed_scale)[:, None]
+    noise = _noise(rng, n, data.x.shape[1], options.noise_m)
+    ahead = (data.future[..., 0] - ox) * scale, (data.future[..., 1] - oy) * scale * flip
+    risk = np.where(flip[:, :, None] < 0, data.signals[..., MIRROR], data.signals[..., :RISK_POINTS])
+    leader = data.signals[..., RISK_POINTS:].copy()
+    leader[..., SPEEDS] *= scale[:, :, None]
+    return replace(
+        data,
+        x=(data.x - ox) * scale + noise[..., 0],
+        y=(data.y - oy) * scale * flip + noise[..., 1],
+        heading=data.heading * flip,
+        future=np.stack(ahead, axis=-1),
+        signals=np.concatenate((risk, leader), axis=-1),
+    )
+
+
 def batch_of(data: Windows, form: str, rng: np.random.Generator | None, options: Options) -> Batch:
     """Inputs and targets; with a generator they are augmented."""
+    if rng is not None:
+        data = augmented(data, rng, options)
     x, y, future, signals = data.x, data.y, data.future, data.signals
     heading, length = data.heading[:, 0], data.length
-    if rng is not None:
-        n = len(data)
-        ox, oy = x[:, :1], y[:, :1]
-        flip = np.where(rng.random(n) < 0.5, -1.0, 1.0)[:, None]
-        scale = np.exp(rng.uniform(-1.0, 1.0, n) * options.speed_scale)[:, None]
-        noise = _noise(rng, n, x.shape[1], options.noise_m)
-        future = np.stack(((future[..., 0] - ox) * scale, (future[..., 1] - oy) * scale * flip), axis=-1)
-        x, y = (x - ox) * scale + noise[..., 0], (y - oy) * scale * flip + noise[..., 1]
-        heading = heading * flip[:, 0]
-        risk = np.where(flip[:, :, None] < 0, signals[..., MIRROR], signals[..., :RISK_POINTS])
-        leader = signals[..., RISK_POINTS:].copy()
-        leader[..., SPEEDS] *= scale[:, :, None]
-        signals = np.concatenate((risk, leader), axis=-1)
     frame = features.OwnFrame.of(x, y, heading)
     if rng is not None:
         a = rng.uniform(-1.0, 1.0, len(data)) * options.turn_rad
@@ -137,7 +147,7 @@ def batch_of(data: Windows, form: str, rng: np.random.Generator | None, options:
 
 def _noise(rng: np.random.Generator, n: int, frames: int, size: float) -> F64:
     """Correlated and white noise of positions [m], shape [n, frames, 2]; strength differs between windows."""
-    strength = size * rng.random((n, 1, 1)) * (rng.random((n, 1, 1)) < 0.8)
+    strength = size * rng.random((n, 1, 1)) ** 2
     white = rng.standard_normal((n, frames, 2))
     phase, period = rng.uniform(0, 2 * np.pi, (n, 1, 2)), rng.uniform(0.8, 4.0, (n, 1, 2))
     slow = np.sin(2 * np.pi * FRAME_S * np.arange(frames)[None, :, None] / period + phase)
