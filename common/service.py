@@ -9,6 +9,7 @@ a new one.
 from __future__ import annotations
 
 import logging
+import re
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -172,5 +173,15 @@ def _step(service: Service, health: Health, output: Publisher, step: Step, input
         log.exception("step failed")
         result = Idle(f"step failed: {type(e).__name__}: {e}", "degraded")
         health.detail["last_error"] = result.reason
-    if health.say(result.state, result.reason):
+    before = health.state, _numberless(health.reason)
+    health.say(result.state, result.reason)
+    if before != (result.state, _numberless(result.reason)):
         log.info("%s: %s", result.state, result.reason)
+
+
+def _numberless(reason: str) -> str:
+    """A reason without its numbers: an age that grows is no news."""
+    return _NUMBERS.sub("#", reason)
+
+
+_NUMBERS = re.compile(r"[-+]?\d+(?:\.\d+)?")

@@ -1,0 +1,113 @@
+"""`docker compose up` on a real engine: all healthy, plans recorded, only what each needs, back after a crash."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.waiting import until
+
+ROOT = Path(__file__).parents[2]
+SERVICES = {"router", "predictor", "riskfield", "planner", "viz", "rig"}
+PROJECT = "forefield-test"
+
+pytestmark = [
+    pytest.mark.docker,
+    pytest.mark.skipif(
+        shutil.which("docker") is None
+        or subprocess.run(["docker", "info"], capture_output=True, check=False).returncode,
+        reason="no Docker engine",
+    ),
+]
+
+
+def compose(*arguments: str, timeout: float = 1200) -> str:
+    done = subprocess.run(
+        ["docker", "compose", "-p", PROJECT, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=timeout,
+        check=False, env={**os.environ, "SCENARIO": "following"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    return done.stdout
+
+
+def health() -> dict[str, str]:
+    lines = compose("ps", "--all", "--format", "json").splitlines()
+    return {row["Service"]: row["Health"] for row in map(json.loads, lines)}
+
+
+@pytest.fixture(scope="module")
+def up() -> Iterator[None]:
+    compose("build")
+    try:
+        compose("up", "--detach", "--wait", "--wait-timeout", "180")
+        yield
+    finally:
+        compose("down", "--volumes")
+
+
+def test_all_are_healthy(up: None) -> None:
+    assert health() == dict.fromkeys(SERVICES, "healthy")
+
+
+def test_the_recording_in_the_volume_has_plans(up: None) -> None:
+    count = (
+        "from rerun.chunk import RrdReader\n"
+        "try: print(sum(c.num_rows for c in RrdReader('/recordings/run.rrd').stream()"
+        " if c.entity_path == '/world/plan/profile'))\n"
+        "except Exception: print(0)"
+    )
+    until(lambda: int(compose("exec", "viz", "python", "-c", count)) > 20, within_s=90, every_s=2, what="plans")
+
+
+@pytest.mark.parametrize("service", sorted(SERVICES))
+def test_an_image_holds_only_what_its_service_needs_and_runs_without_rights(up: None, service: str) -> None:
+    look = (
+        "import importlib.util, os, json; print(json.dumps([os.getuid(), "
+        "any(os.access(p, os.W_OK) for p in ('/usr', '/app')), [m for m in ('torch', 'warp', 'rerun', 'commonroad', 'zenoh') if importlib.util.find_spec(m)]]))"
+    )
+    uid, writable, found = json.loads(compose("exec", service, "python", "-c", look))
+    needs = {
+        "predictor": ["torch"],
+        "riskfield": ["warp"],
+        "planner": ["warp"],
+        "viz": ["rerun"],
+        "rig": ["commonroad"],
+    }
+    assert uid != 0
+    assert not writable
+    assert found == [*needs.get(service, []), "zenoh"]
+
+
+def test_a_service_killed_inside_its_container_comes_back(up: None) -> None:
+    container = compose("ps", "--quiet", "riskfield").strip()
+
+    def restarts() -> int:
+        shown = subprocess.run(
+            ["docker", "inspect", "--format", "{{.RestartCount}}", container],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return int(shown.stdout)
+
+    before = restarts()
+    kill = (
+        "import os; [os.kill(int(p), 9) for p in os.listdir('/proc') if p.isdigit() and int(p) not in (1, os.getpid())]"
+    )
+    subprocess.run(["docker", "exec", container, "python", "-c", kill], capture_output=True, check=False)
+    until(lambda: restarts() > before, within_s=30, every_s=0.5, what="a restart")
+    until(lambda: health()["riskfield"] == "healthy", within_s=60, every_s=1, what="health again")
+
+
+def test_down_is_clean_within_fifteen_seconds(up: None) -> None:
+    began = time.monotonic()
+    compose("down", timeout=60)
+    assert time.monotonic() - began <= 15.0
+    assert compose("ps", "--all", "--quiet") == ""
