@@ -142,8 +142,8 @@ class Drive:
 
     def risk(self, t: float) -> Risk:
         back, half = self.rows * self.h * 30 / 160, self.columns * self.h / 2
-        gs = (np.arange(self.rows) + 0.5)[:, None] * self.h - back + self.speed * t
-        gd = (np.arange(self.columns) + 0.5)[None, :] * self.h - half
+        gs = ((np.arange(self.rows) + 0.5)[:, None] * self.h - back + self.speed * t).astype(np.float32)
+        gd = ((np.arange(self.columns) + 0.5)[None, :] * self.h - half).astype(np.float32)
         times = [0.5 * j for j in range(SLICES)]
         volume = np.zeros((SLICES, self.rows, self.columns), np.float32)
         most = np.zeros_like(volume)
@@ -156,18 +156,20 @@ class Drive:
             most[j] = np.maximum(most[j], share)
             source[j][larger] = slot
 
+        # beyond the road's edges the field stays at its peak
+        edges = ((-1.75 - gd, 1.5), (-np.abs(gd - 1.75), 0.1), (gd - 5.25, 1.5))
+        static = [peak * np.clip(1 + far / 0.6, 0, 1) ** 2 + 0 * gs for far, peak in edges]
         for j, tj in enumerate(times):
             for i in range(len(s)):
                 lo = np.maximum(np.abs(gs - s[i] - speed[i] * tj) - length[i] / 2, 0)
                 la = np.maximum(np.abs(gd - d[i]) - width[i] / 2, 0)
                 distance = np.hypot(lo, la)
-                near = np.where(distance < 25, 1.0 / (1.0 + 0.8 * distance**2), 0.0)
+                near = np.where(distance < 25, 1.0 / (1.0 + 0.8 * np.square(distance)), 0.0)
                 front = np.clip(1 - (gs - s[i] - speed[i] * tj - length[i] / 2) / (3 * speed[i] + 1), 0, 1)
                 ahead = gs > s[i] + speed[i] * tj
                 add(j, i, near + 0.5 * front * ahead * np.maximum(0, 1 - (gd - d[i]) ** 2 / 3.2))
-            # beyond the road's edges the field stays at its peak
-            for k, (far, peak) in enumerate(((-1.75 - gd, 1.5), (-np.abs(gd - 1.75), 0.1), (gd - 5.25, 1.5))):
-                add(j, len(s) + k, peak * np.clip(1 + far / 0.6, 0, 1) ** 2 + 0 * gs)
+            for k, share in enumerate(static):
+                add(j, len(s) + k, share)
         return Risk(
             grid=self.grid(t),
             slice_times=times,
