@@ -69,15 +69,17 @@ def reporting(health: Health, status: Publisher, settings: ServiceSettings) -> I
 
 def _report(health: Health, status: Publisher, settings: ServiceSettings, stop: threading.Event) -> None:
     heartbeat = Path(settings.heartbeat) if settings.heartbeat else None
-    last = False
+    last = told = False
     while not last:
         last = stop.is_set()
         if heartbeat is not None and health.turning:
             try:
                 heartbeat.touch()
+                told = False
             except OSError as e:
-                log.warning("heartbeat: %s", e)
-                heartbeat = None
+                if not told:
+                    log.warning("heartbeat: %s", e)
+                told = True
         try:
             status.put(health.status(), capture_ns=monotonic())
         except Exception:  # a report must not end the reports
