@@ -1,6 +1,6 @@
 """Alarms in recorded traffic, in which nobody crashes: how often each method would cry wolf for an hour of driving.
 
-Of each recording the vehicle that drives farthest takes the ego's part. At each frame every method assumes that
+Of each file the vehicle that drives farthest takes the ego's part. At each frame every method assumes that
 the ego goes on along the path that it was recorded on, at its present speed; the others are seen as always.
 """
 
@@ -19,13 +19,10 @@ from common.messages import F64, FRAME_S, Ego, Map, ObjectClass, Objects
 from evaluation.hazards.alarms import Alarm, held, score
 from evaluation.hazards.watch import Cores, FieldWatcher, Seen, Times, stacked
 from rig.sources import load_scenario, recorded_scenarios
-from rig.sources.tables import read
 from rig.world import Scenario, ScenarioError, Track
 
 EGOS = 1
-"""How many vehicles of one recording take the ego's part."""
-RECORDINGS = 2
-"""Recordings of one table."""
+"""How many vehicles of one file take the ego's part."""
 LONGEST_S = 12.0
 """Of one vehicle's drive, at most so much is looked at [s]."""
 WARM_FRAMES = 10
@@ -96,20 +93,11 @@ def _sources() -> Iterator[tuple[str, Callable[[], Iterator[Scenario]]]]:
     if not data:
         return
     for path in sorted((Path(data) / "tracks").rglob("*.csv*")):
-        yield path.name.split(".")[0], lambda path=path: _tables(path)  # type: ignore[misc]
+        yield path.name.split(".")[0], lambda path=path: _worlds([str(path)])  # type: ignore[misc]
     files = recorded_scenarios()
     for place in sorted({name.split("-")[0] for name in files}):
         chosen = [str(p) for name, p in files.items() if name.split("-")[0] == place]
         yield f"commonroad {place}", lambda chosen=chosen: _worlds(chosen)  # type: ignore[misc]
-
-
-def _tables(path: Path) -> Iterator[Scenario]:
-    longest: dict[str, int] = {}
-    for rows in read(path):
-        longest[rows.rec] = max(longest.get(rows.rec, 0), len(rows.frames))
-    names = [rec for rec, n in longest.items() if n * FRAME_S >= 6.0]
-    step = max(1, len(names) // RECORDINGS)
-    yield from _worlds([f"{path}#{rec}" for rec in names[::step][:RECORDINGS]])
 
 
 def _worlds(names: Sequence[str]) -> Iterator[Scenario]:

@@ -59,13 +59,23 @@ class Seen:
     """NaN where commonroad-crime is not installed."""
 
 
-ALERT: Tree = {"kinematic": {"turn_sure": 0.35, "braking_sure_mps2": 2.0}, "map": {"swerve_max": 0.3}}
+ALERT: Tree = {
+    "policy": "map-first",
+    "kinematic": {"turn_sure": 0.35, "braking_sure_mps2": 2.0},
+    "map": {"swerve_max": 0.3},
+}
 """An alarm's predictor believes strong turns and braking at once; chosen on tuning seeds, see docs/hazards.md."""
 
 
 def alert_predictor() -> PredictorSettings:
     """The predictor's settings with `ALERT`."""
     return config.section({"predictor": ALERT}, "predictor", PredictorSettings)
+
+
+def _over(base: Tree, told: Tree) -> Tree:
+    """What is told, over a base; section by section."""
+    both = {**base, **told}
+    return {k: {**base[k], **told[k]} if isinstance(base.get(k), dict) and k in told else v for k, v in both.items()}
 
 
 @dataclass(frozen=True)
@@ -77,12 +87,15 @@ class Cores:
 
     @staticmethod
     def of(tree: Tree) -> Cores:
-        """From the configuration, as the services read it."""
-        return Cores(config.section(tree, "predictor", PredictorSettings), config.section(tree, "risk", RiskParameters))
+        """From the configuration, over `ALERT`."""
+        predictor = config.section(
+            {"predictor": _over(ALERT, tree.get("predictor", {}))}, "predictor", PredictorSettings
+        )
+        return Cores(predictor, config.section(tree, "risk", RiskParameters))
 
     def new_predictor(self) -> Predictor:
         """A predictor without any history; with the network where the policy wants one."""
-        if self.predictor.policy not in ("paper", "learned-first"):
+        if self.predictor.policy in ("map-first", "kinematic"):
             return Predictor(self.predictor, self.risk)
         from services.predictor.learned import load_learned
 

@@ -333,3 +333,12 @@ def test_a_moving_actor_s_velocity_is_a_backward_difference():
     car = actor(ObjectClass.CAR, SIZE, LINE, 320.0 + 5.0 * t + 0.5 * 2.0 * np.maximum(t, 0.0) ** 2)
     seen = Episode("test", Map(), LINE, 0.0, 300.0, 4.0, (car,)).objects(10)
     assert seen.vx[0] == pytest.approx(5.0 + 2.0 * 0.95, abs=0.02)
+
+
+def test_the_configuration_goes_over_the_alarms_own_settings():
+    cores = Cores.of({"predictor": {"map": {"swerve_max": 0.5}, "past_frames": 7}})
+    assert cores.predictor.map.swerve_max == 0.5 and cores.predictor.past_frames == 7
+    assert cores.predictor.kinematic.turn_sure == Cores().predictor.kinematic.turn_sure == 0.35
+    assert Cores.of({}) == Cores()
+    with pytest.raises(ConfigError):
+        Cores.of({"predictor": {"swerve": 1}})
