@@ -39,6 +39,8 @@ HoldOut = Annotated[
 Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
 Sets = Annotated[list[str] | None, typer.Option("--set", help="One setting; may be repeated.", metavar="KEY=VALUE")]
 TorchDevice = Annotated[str, typer.Option("--device", help="Where to train.", metavar="cpu|cuda")]
+WIDTH = 118
+"""Narrower tables would cut the figures off."""
 Method = Literal["paper", "learned-first", "learned-on-lanes", "map-first", "kinematic"]
 assert get_args(Method) == get_args(Policy)
 
@@ -151,6 +153,7 @@ def eval_prediction(
         if plot is not None:
             measuring.plot(result, plot, group)
         console = Console()
+        console = Console(width=max(console.width, WIDTH))
         for site in result["sites"] if len(result["sites"]) > 1 else []:
             console.print(measuring.table(result, group, site))
         console.print(measuring.table(result, group))
@@ -190,7 +193,7 @@ def eval_ablation(
         )  # fmt: skip
         if json_ is not None:
             write(json_, result)
-        Console().print(ablating.table(result))
+        Console(width=max(Console().width, WIDTH)).print(ablating.table(result))
 
 
 def generate_traffic(
