@@ -12,7 +12,9 @@ import logging
 import re
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,6 +91,8 @@ class Service:
     """So does this much time since the last step [s]."""
     build: Callable[[Tree, Health], Step]
     """Reads the configuration, warms up, returns the step. May raise ConfigError."""
+    sends_aside: bool = False
+    """Large messages are packed and sent by a second thread while the next step runs."""
     grace_s: float = 0.0
     """A trigger that comes after the period by no more than this is waited for [s]."""
 
@@ -140,39 +144,76 @@ def _loop(
     due_ns = monotonic()
     new: set[str] = set()
     health.say("waiting", "waiting for " + ", ".join(t.suffix for t in service.subscribes))
-    while not stop.is_set():
-        bus.wait((due_ns - monotonic()) * 1e-9)
-        new |= {name for name, inbox in inboxes.items() if inbox.take() is not None}
-        health.turned()
-        now = monotonic()
-        if now < due_ns and service.trigger.suffix not in new:
-            continue
-        # counted from now, not from when it was due: a late turn is not followed by a burst
-        triggered = service.trigger.suffix in new
-        due_ns = now + round((service.period_s + (service.grace_s if triggered else 0.0)) * 1e9)
-        inputs = Inputs(inboxes, now, frozenset(new))
-        new = set()
-        _step(service, health, output, step, inputs)
+    with _sender(service, health, output) as send:
+        while not stop.is_set():
+            bus.wait((due_ns - monotonic()) * 1e-9)
+            new |= {name for name, inbox in inboxes.items() if inbox.take() is not None}
+            health.turned()
+            now = monotonic()
+            if now < due_ns and service.trigger.suffix not in new:
+                continue
+            # counted from now, not from when it was due: a late turn is not followed by a burst
+            triggered = service.trigger.suffix in new
+            due_ns = now + round((service.period_s + (service.grace_s if triggered else 0.0)) * 1e9)
+            inputs = Inputs(inboxes, now, frozenset(new))
+            new = set()
+            result = _step(health, step, inputs)
+            if isinstance(result, Output):
+                send(result)
+            else:
+                _say(health, result)
 
 
-def _step(service: Service, health: Health, output: Publisher, step: Step, inputs: Inputs) -> None:
+def _step(health: Health, step: Step, inputs: Inputs) -> Output | Idle:
     try:
-        result = step(inputs)
-        if isinstance(result, Output):
-            output.put(result.message, capture_ns=result.capture_ns, cause=result.cause, arrived_ns=result.arrived_ns)
-            health.worked(output.last_work_ns)
-            health.count(f"{service.publishes.suffix}:sent")
+        return step(inputs)
     except FatalError:
         raise
-    except RefusedError as e:
-        health.count(f"{service.publishes.suffix}:not_sent_{e.reason}")
-        result = Idle(f"own {service.publishes.suffix} broke its contract: {e}", "degraded")
-        health.detail["last_error"] = result.reason
     except Exception as e:
         health.count(f"step:{type(e).__name__}")
         log.exception("step failed")
-        result = Idle(f"step failed: {type(e).__name__}: {e}", "degraded")
-        health.detail["last_error"] = result.reason
+        return _failed(health, f"step failed: {type(e).__name__}: {e}")
+
+
+@contextmanager
+def _sender(service: Service, health: Health, output: Publisher) -> Iterator[Callable[[Output], None]]:
+    """How results leave: at once, or from a thread of their own while the next step runs; never two under way."""
+    if not service.sends_aside:
+        yield lambda result: _send(service, health, output, result)
+        return
+    pending: list[Future[None]] = []
+    with ThreadPoolExecutor(1, "send") as pool:
+
+        def send(result: Output) -> None:
+            while pending:
+                pending.pop().result()
+            pending.append(pool.submit(_send, service, health, output, result))
+
+        yield send
+
+
+def _send(service: Service, health: Health, output: Publisher, result: Output) -> None:
+    suffix = service.publishes.suffix
+    try:
+        output.put(result.message, capture_ns=result.capture_ns, cause=result.cause, arrived_ns=result.arrived_ns)
+        health.worked(output.last_work_ns)
+        health.count(f"{suffix}:sent")
+        _say(health, result)
+    except RefusedError as e:
+        health.count(f"{suffix}:not_sent_{e.reason}")
+        _say(health, _failed(health, f"own {suffix} broke its contract: {e}"))
+    except Exception as e:
+        health.count(f"{suffix}:not_sent_{type(e).__name__}")
+        log.exception("%s not sent", suffix)
+        _say(health, _failed(health, f"{suffix} not sent: {type(e).__name__}: {e}"))
+
+
+def _failed(health: Health, reason: str) -> Idle:
+    health.detail["last_error"] = reason
+    return Idle(reason, "degraded")
+
+
+def _say(health: Health, result: Output | Idle) -> None:
     before = health.state, _numberless(health.reason)
     health.say(result.state, result.reason)
     if before != (result.state, _numberless(result.reason)):

@@ -50,7 +50,7 @@ IN_FLIGHT = (2, 3)
 """Frames under way at once: two keep a dominant stage busy, three keep balanced stages busy; more would only wait."""
 FRAMES = ("objects", "prediction", "risk")
 ROUNDS = 5
-WARM_FRAMES = 15
+WARM_FRAMES = 40
 STALL_S = 0.5
 """No plan for this long: the frames under way are taken for lost [s]."""
 EGO_NS = 20_000_000

@@ -55,6 +55,7 @@ SERVICE = Service(
     subscribes=(topics.PREDICTION, topics.EGO, topics.MAP, topics.CLOSURES),
     publishes=topics.RISK,
     trigger=topics.PREDICTION,
+    sends_aside=True,
     period_s=0.1,
     grace_s=0.02,  # a prediction that is merely late by jitter is waited for
     build=build,
