@@ -10,8 +10,8 @@ import msgspec
 from common import config
 from common.bus import BusSettings
 from common.config import ConfigError, Settings, Tree
-from common.risk import RiskParameters
 from common.process import ServiceSettings
+from common.risk import RiskParameters
 from common.topics import checked_vehicle
 from rig.settings import RigSettings
 from services.planner.settings import PlannerSettings

@@ -69,8 +69,10 @@ def test_the_recording_in_the_volume_has_plans(up: None) -> None:
 @pytest.mark.parametrize("service", sorted(SERVICES))
 def test_an_image_holds_only_what_its_service_needs_and_runs_without_rights(up: None, service: str) -> None:
     look = (
-        "import importlib.util, os, json; print(json.dumps([os.getuid(), "
-        "any(os.access(p, os.W_OK) for p in ('/usr', '/app')), [m for m in ('torch', 'warp', 'rerun', 'commonroad', 'zenoh') if importlib.util.find_spec(m)]]))"
+        "import importlib.util, os, json; "
+        "writable = any(os.access(p, os.W_OK) for p in ('/usr', '/app')); "
+        "found = [m for m in ('torch', 'warp', 'rerun', 'commonroad', 'zenoh') if importlib.util.find_spec(m)]; "
+        "print(json.dumps([os.getuid(), writable, found]))"
     )
     uid, writable, found = json.loads(compose("exec", service, "python", "-c", look))
     needs = {
