@@ -1,6 +1,6 @@
 """Many scenarios through `forefield run`, one after another, in real time: `python -m evaluation.live [FILES ...]`.
 
-Without files: every recorded scenario in `$FOREFIELD_DATA`. Prints one row for each and how many keep what a run should:
+Without files: every recorded scenario in `$FOREFIELD_DATA`. Prints one row for each, and how many do what they should:
 after the first plan `drive` at least 80 % of the time and `safe_stop` at most 5 %.
 """
 
@@ -22,6 +22,7 @@ from rig.sources import recorded_scenarios
 
 DRIVE_SHARE = 0.8
 SAFE_STOP_SHARE = 0.05
+COLUMNS = ("scenario", "s", "drive", "stop", "collision", "clearance m", "goal", "end to end p50/p99 ms", "skipped")
 
 
 def drive(scenario: str, settings: list[str]) -> dict[str, Any]:
@@ -33,11 +34,8 @@ def drive(scenario: str, settings: list[str]) -> dict[str, Any]:
             command += ["--set", setting]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if not out.is_file():
-            return {
-                "scenario": Path(scenario).stem,
-                "error": done.stderr.strip().splitlines()[-1:],
-                "rc": done.returncode,
-            }
+            said = done.stderr.strip().splitlines()[-1:]
+            return {"scenario": Path(scenario).stem, "error": said, "rc": done.returncode}
         report: dict[str, Any] = json.loads(out.read_text())
         return {**report, "rc": done.returncode}
 
@@ -45,23 +43,13 @@ def drive(scenario: str, settings: list[str]) -> dict[str, Any]:
 def keeps(report: dict[str, Any]) -> bool:
     """Whether a run drove for most of its time and hardly ever had to stop for a fault."""
     share = report.get("share_after_first_drive", {})
-    return share.get("drive", 0.0) >= DRIVE_SHARE and share.get("safe_stop", 1.0) <= SAFE_STOP_SHARE
+    return bool(share.get("drive", 0.0) >= DRIVE_SHARE and share.get("safe_stop", 1.0) <= SAFE_STOP_SHARE)
 
 
 def table(reports: list[dict[str, Any]]) -> Table:
     """A row for each run."""
     out = Table(title="Live, over the bus", title_justify="left")
-    for name in (
-        "scenario",
-        "s",
-        "drive",
-        "stop",
-        "collision",
-        "clearance m",
-        "goal",
-        "end to end p50/p99 ms",
-        "skipped",
-    ):
+    for name in COLUMNS:
         out.add_column(name, justify="left" if name == "scenario" else "right", no_wrap=True)
     for r in reports:
         if "error" in r:
@@ -98,7 +86,8 @@ def main(arguments: list[str] | None = None) -> int:
     console.print(table(reports))
     good = sum(keeps(r) for r in reports)
     console.print(
-        f"{good} of {len(reports)} drive at least {DRIVE_SHARE:.0%} of the time, with at most {SAFE_STOP_SHARE:.0%} safe stop"
+        f"{good} of {len(reports)} drive at least {DRIVE_SHARE:.0%} of the time,"
+        f" with at most {SAFE_STOP_SHARE:.0%} safe stop"
     )
     return 0 if all("error" not in r for r in reports) else 1
 
