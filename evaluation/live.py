@@ -60,7 +60,8 @@ def table(reports: list[dict[str, Any]]) -> Table:
         collision = "at fault" if ego["collision_at_fault"] else "not at fault" if ego["collision"] else "none"
         near = "-" if ego["min_clearance_m"] is None else f"{ego['min_clearance_m']:.2f}"
         out.add_row(
-            r["scenario"], f"{r['duration_s']:.1f}", f"{share['drive']:.0%}", f"{share['safe_stop']:.0%}", collision, near,
+            r["scenario"], f"{r['duration_s']:.1f}", f"{share['drive']:.0%}", f"{share['safe_stop']:.0%}", collision,
+            near,
             "yes" if ego["reached_goal"] else "no", f"{e2e['p50'] or 0:.0f}/{e2e['p99'] or 0:.0f}", str(skipped),
         )  # fmt: skip
     return out
