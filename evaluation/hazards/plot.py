@@ -49,11 +49,12 @@ def _rates(ax: Any, result: dict[str, Any], methods: list[str]) -> None:
         ax.errorbar(x, 100 * y, 100 * np.abs(ends - y), fmt="none", ecolor="#1b1b1b", elinewidth=0.8, capsize=1.5)
     ax.set_xticks(range(len(kinds)), ["accuracy", "recall", "false alarms"])
     ax.set_ylabel("share [%]")
-    ax.set_ylim(0, 105)
-    ax.axhline(95, color="#1b1b1b", lw=0.6, ls=":")
+    ax.set_ylim(0, 128)
+    ax.set_yticks(range(0, 101, 20))
+    ax.axhline(95, color="#1b1b1b", lw=0.6, ls=":", zorder=0)
     n = result["random"][methods[0]]["n"]
     ax.set_title(f"(a)  {n} random variants of unseen seeds, 95 % intervals")
-    ax.legend(frameon=False, fontsize=7.5, ncols=2, loc="upper right")
+    ax.legend(frameon=False, fontsize=7, ncols=3, loc="upper center")
 
 
 def _leads(ax: Any, result: dict[str, Any], methods: list[str]) -> None:
