@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -68,6 +68,7 @@ class _Sampled:
     risk: PathRisk
     cap: Cap
     s_max: F64  # [n]
+    volume: Volume
 
 
 def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]:
@@ -85,10 +86,13 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     curve = np.where(near & (look.cap.cause != CAUSES.index("limit")), look.cap.speed, np.inf).min(axis=1)
     curve = np.minimum(curve, curve[0])
     score = np.minimum(verdict.desired, curve) - settings.tier_cost * verdict.tier - verdict.penalty - cost
+    score -= np.where(verdict.tier > 1, settings.squeeze_cost * _squeeze(look, start), 0.0)
     score = np.where(verdict.passed, score, -1e3 - cost)
 
+    tier_index = len(Tier.all(settings)) - 1
     if verdict.passed.any():
         chosen = int(np.argmax(score))
+        tier_index = int(verdict.tier[chosen])
         tier = Tier.all(settings)[int(verdict.tier[chosen])]
         wanted = _filtered(float(verdict.desired[chosen]), tier, scene, settings)
         target, motion = wanted, None
@@ -111,7 +115,7 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
         motion = Motion(rollouts.t, rollouts.distance[chosen], rollouts.speed[chosen], rollouts.acceleration[chosen])
         failure, at = rollouts.failure[chosen], rollouts.failed_at[chosen]
         distance = rollouts.distance[chosen, at]
-    decision = _decide(scene, look, chosen, target, int(failure), int(at), float(distance), field)
+    decision = _decide(scene, look, chosen, target, int(failure), int(at), float(distance), field, tier_index)
     return _finish(scene, look, chosen, target, motion, decision, verdict.desired, score, settings)
 
 
@@ -172,11 +176,22 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
         points=settings.stations,
         max_curvature=settings.max_curvature,
     )
-    footprint = Footprint.of(scene.ego, settings.footprint_spacing)
+    footprint = _footprint(scene, settings)
     risk = path_risk(scene.volume, footprint, paths.x, paths.y, paths.heading, step)
     cap = _cap(scene, paths, risk.known, footprint, settings)
     fresh = len(targets) - len(targets) % len(settings.lengths)
-    return _Sampled(frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max))
+    return _Sampled(frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max), scene.volume)
+
+
+def _footprint(scene: Scene, settings: PlannerSettings) -> Footprint:
+    """The outline; who is beside or behind nearer than touching already may stay so near, for braking frees nobody."""
+    footprint = Footprint.of(scene.ego, settings.footprint_spacing, settings.flank_margin)
+    start = scene.start
+    x, y = footprint.at(np.array([start.x]), np.array([start.y]), np.array([start.heading]))
+    now = scene.volume.sample(x, y)[0][0, 0].astype(np.float64)
+    beside = footprint.margin > 0.0
+    worst = float(np.max(now, initial=0.0, where=beside)) + 0.05 - settings.r_hit
+    return replace(footprint, margin=np.where(beside, np.maximum(footprint.margin, worst), 0.0))
 
 
 def _targets(
@@ -239,6 +254,14 @@ def _cap(scene: Scene, paths: Paths, known: F64, footprint: Footprint, settings:
     return Cap.of([limit, curve, goal, horizon])
 
 
+def _squeeze(look: _Sampled, start: Start) -> F64:
+    """How near others come beside each path on the whole of the next 2 s if the speed stays [n] [E_max]."""
+    risk, volume = look.risk.risk, look.volume
+    slices = np.arange(int(volume.slice_at(2.0)) + 1)
+    station = np.rint(start.speed * np.maximum(volume.starts[slices], 0.0) / look.paths.step).astype(np.intp)
+    return np.asarray(risk[:, slices, np.minimum(station, risk.shape[2] - 1)].mean(axis=1), dtype=np.float64)
+
+
 def _filtered(desired: float, tier: Tier, scene: Scene, settings: PlannerSettings) -> float:
     """The target speed that is driven: small changes come in gradually, very low ones are rest."""
     before = scene.memory.target_speed if scene.memory is not None else scene.start.speed
@@ -260,7 +283,15 @@ def _one(
 
 
 def _decide(
-    scene: Scene, look: _Sampled, chosen: int, target: float, failure: int, at: int, distance: float, field: Field
+    scene: Scene,
+    look: _Sampled,
+    chosen: int,
+    target: float,
+    failure: int,
+    at: int,
+    distance: float,
+    field: Field,
+    tier: int,
 ) -> Decision:
     speed, paths, volume = scene.start.speed, look.paths, scene.volume
     slow = target < float(look.s_max[chosen]) - 0.3
@@ -278,7 +309,8 @@ def _decide(
         place = float(field.stays[chosen * field.points + i]) + field.gap + 0.3
         j = 0
     else:
-        place = float(field.hit[(chosen * field.slices + j) * field.points + i]) + 0.3
+        hit = field.hit if tier < 2 else field.hit_ahead
+        place = float(hit[(chosen * field.slices + j) * field.points + i]) + 0.3
     obstruction = Obstruction(Path.of(paths, chosen), min(place, paths.step * (field.points - 1)), (j, j + 1))
     return explain(target, speed, obstruction, volume, look.footprint, kind)
 

@@ -11,6 +11,8 @@ from services.planner.footprint import Footprint
 from services.planner.trajectory import Path
 from services.planner.volume import Volume
 
+_REACH = 3.0  # m; how far to the side the source is looked for
+
 
 @dataclass(frozen=True)
 class Obstruction:
@@ -36,7 +38,7 @@ def explain(
     index = volume.first + j
     slot = volume.source(index, *cell)
     cx, cy = volume.cell_centre(*cell)
-    side = float(-np.sin(heading[0]) * (cx - x[0]) + np.cos(heading[0]) * (cy - y[0]))
+    side = _side(obstruction.path, obstruction.distance, float(footprint.x[k]), float(footprint.y[k]), volume, j)
     where = f"{abs(side):.1f} m {'left' if side > 0 else 'right'} of the path" if abs(side) > 0.3 else "on the path"
     term = slot.term if slot is not None else "potential"
     start = float(volume.starts[j])
@@ -56,6 +58,16 @@ def explain(
         term=term,
         risk=float(values[j, 0, k]),
     )
+
+
+def _side(path: Path, distance: float, ahead: float, sample: float, volume: Volume, j: int) -> float:
+    """How far from the footprint's centre line the source begins, on the side of the sample that met it; > 0: left."""
+    x, y, heading, _ = path.at(np.array([distance]))
+    c, s = np.cos(heading), np.sin(heading)
+    across = np.linspace(0.0, _REACH, 13) * (1.0 if sample >= 0.0 else -1.0)
+    values, _known = volume.sample(x + c * ahead - s * across, y + s * ahead + c * across)
+    high = values[j] >= 0.9 * values[j].max()
+    return float(across[int(np.argmax(high))])
 
 
 def explain_cap(desired: float, speed: float, cause: str, distance: float) -> Decision:

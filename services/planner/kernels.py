@@ -36,7 +36,7 @@ class LookUp:
     rows: int
     columns: int
     samples: int
-    later: int  # the slice of `stays`, counted from `first`
+    later: int  # the last slice of `stays`, counted from `first`
     half: int  # 1: the volume is float16
     volume16: wp.array(dtype=wp.uint16)
     volume32: wp.array(dtype=float)
@@ -46,19 +46,23 @@ class LookUp:
     sin: wp.array(dtype=wp.float64)
     outline_x: wp.array(dtype=wp.float64)  # samples of the outline, frame of the rear axle [m]
     outline_y: wp.array(dtype=wp.float64)
+    margin: wp.array(dtype=wp.float64)  # taken off each sample's risk for `contact`
+    ahead_margin: wp.array(dtype=wp.float64)  # and for `ahead`
     points: int
     risk: wp.array(dtype=float)  # [n, slices, points]
     stays: wp.array(dtype=float)  # [n, points]
     whole: wp.array(dtype=wp.uint8)  # [n, points]
+    contact: wp.array(dtype=float)  # [n, slices, points]
+    ahead: wp.array(dtype=float)  # [n, slices, points]
 
 
 _LOOK_UP = """
-    float top[256];
+    float top[256], touch[256], ahead[256];
     const int path = task / p.points, point = task % p.points;
     const long long plane = (long long)p.rows * p.columns;
     float stays = 0.0f;
     bool whole = true;
-    for (int j = 0; j < p.slices; ++j) top[j] = 0.0f;
+    for (int j = 0; j < p.slices; ++j) { top[j] = 0.0f; touch[j] = 0.0f; ahead[j] = 0.0f; }
     for (int k = 0; k < p.samples; ++k) {
         const double ox = p.outline_x.data[k], oy = p.outline_y.data[k];
         double fi = p.x.data[task] + p.cos.data[task] * ox - p.sin.data[task] * oy;
@@ -72,7 +76,8 @@ _LOOK_UP = """
         const float wi = (float)(fi - i), wj = (float)(fj - j0);
         const float a = (1.0f - wi) * (1.0f - wj), b = (1.0f - wi) * wj, c = wi * (1.0f - wj), d = wi * wj;
         const long long at = (long long)p.first * plane + (long long)i * p.columns + j0;
-        float now = 0.0f, later = 0.0f;
+        const float margin = (float)p.margin.data[k], front = (float)p.ahead_margin.data[k];
+        float least = 3e38f;
         for (int j = 0; j < p.slices; ++j) {
             float v;
             if (p.half) {
@@ -88,13 +93,16 @@ _LOOK_UP = """
                 v = m[0] * a + m[1] * b + m[p.columns] * c + m[p.columns + 1] * d;
             }
             top[j] = v > top[j] ? v : top[j];
-            if (j == 0) now = v;
-            if (j == p.later) later = v;
+            touch[j] = v - margin > touch[j] ? v - margin : touch[j];
+            ahead[j] = v - front > ahead[j] ? v - front : ahead[j];
+            if (j <= p.later) least = v < least ? v : least;
         }
-        const float both = now < later ? now : later;
-        stays = both > stays ? both : stays;
+        stays = least - margin > stays ? least - margin : stays;
     }
-    for (int j = 0; j < p.slices; ++j) p.risk.data[((long long)path * p.slices + j) * p.points + point] = top[j];
+    for (int j = 0; j < p.slices; ++j) {
+        const long long at = ((long long)path * p.slices + j) * p.points + point;
+        p.risk.data[at] = top[j]; p.contact.data[at] = touch[j]; p.ahead.data[at] = ahead[j];
+    }
     p.stays.data[task] = stays;
     p.whole.data[task] = whole ? 1 : 0;
 """
@@ -137,6 +145,7 @@ class Roll:
     hold_s: wp.float64
     clear: wp.float64
     soft_after: wp.float64
+    until: wp.float64  # checks end here [s]
     headway: wp.float64
     stop_brake: wp.float64
     slice_of: wp.array(dtype=int)  # [steps + 1]
@@ -144,6 +153,7 @@ class Roll:
     target: wp.array(dtype=wp.float64)  # [K]
     hold: wp.array(dtype=wp.float64)  # [K]
     hit: wp.array(dtype=wp.float64)  # [n, S, p], as the next ones
+    hit_ahead: wp.array(dtype=wp.float64)
     room: wp.array(dtype=wp.float64)
     away: wp.array(dtype=wp.float64)
     law: wp.array(dtype=wp.float64)
@@ -166,6 +176,7 @@ _ROLL = """
     double* out_s = p.s.data + (long long)k * (n + 1);
     double* out_v = p.v.data + (long long)k * (n + 1);
     double* out_a = p.a.data + (long long)k * (n + 1);
+    const double* hit = p.soft ? p.hit.data : p.hit_ahead.data;
     int failure = 0, failed_at = n;
     for (int i = 0; i <= n; ++i) {
         out_s[i] = s; out_v[i] = v; out_a[i] = a;
@@ -175,7 +186,7 @@ _ROLL = """
             int cell = (int)(s * inverse); cell = cell > p.points - 1 ? p.points - 1 : cell;
             const long long here = ((long long)path * p.slices + p.slice_of.data[i]) * p.points + cell;
             const bool moving = v > 0.05;
-            int bad = s + (moving ? p.clear : 0.0) < p.hit.data[here] ? 0 : 1;
+            int bad = s + (moving ? p.clear : 0.0) < hit[here] ? 0 : 1;
             if (p.soft) {
                 const double law = p.law.data[here];
                 double left = t - p.hold_s; left = target - p.brake * (left > 0.0 ? left : 0.0);
@@ -190,7 +201,7 @@ _ROLL = """
                 }
             }
             if (bad == 0 && s > p.end.data[path] && moving) bad = 5;
-            if (bad) { failure = bad; failed_at = i; }
+            if (bad && t < p.until - 1e-9) { failure = bad; failed_at = i; }
         }
         if (i == n) break;
         double ahead = (s + v * p.look) * inverse; ahead = ahead < last ? ahead : last;
@@ -258,17 +269,17 @@ def _in(a: npt.NDArray[Any], kind: Any) -> Any:
 
 
 def look_up(
-    volume: Volume, outline: tuple[F64, F64], x: F64, y: F64, heading: F64, later: int
-) -> tuple[F32, F32, npt.NDArray[np.bool_]]:
-    """What `footprint.path_risk` looks up: risk [n, S, p], stays [n, p], whether the outline is wholly known [n, p].
+    volume: Volume, outline: tuple[F64, F64, F64, F64], x: F64, y: F64, heading: F64, later: int
+) -> tuple[F32, F32, npt.NDArray[np.bool_], F32, F32]:
+    """Risk [n, S, p], stays [n, p], whether the outline is known [n, p]; risk less either margin [n, S, p].
 
     Args:
         volume: the volume on the plan's clock.
-        outline: samples of the footprint, frame of the rear axle [m].
+        outline: samples of the footprint, frame of the rear axle [m], and their margins [E_max].
         x: rear axle along n paths of p points, `map` frame [n, p] [m].
         y: the same.
         heading: of the body there [rad].
-        later: the slice that `stays` compares with the first.
+        later: the last slice in which something must be there to count for `stays`.
     """
     _initialise()
     n, points = x.shape
@@ -287,15 +298,18 @@ def look_up(
         _in(np.sin(heading - g.heading) / g.h, wp.float64),
     )
     q.outline_x, q.outline_y = _in(outline[0], wp.float64), _in(outline[1], wp.float64)
+    q.margin, q.ahead_margin = _in(outline[2], wp.float64), _in(outline[3], wp.float64)
     risk, stays = np.empty((n, volume.slices, points), np.float32), np.empty((n, points), np.float32)
+    contact, ahead = (np.empty((n, volume.slices, points), np.float32) for _ in range(2))
+    q.contact, q.ahead = _in(contact, wp.float32), _in(ahead, wp.float32)
     whole = np.empty((n, points), np.uint8)
     q.risk, q.stays, q.whole = _in(risk, wp.float32), _in(stays, wp.float32), _in(whole, wp.uint8)
     wp.launch(look_up_kernel, dim=n * points, inputs=[q], device="cpu")
-    return risk, stays, whole.view(np.bool_)
+    return risk, stays, whole.view(np.bool_), contact, ahead
 
 
 def roll_field(arrays: Mapping[str, F64]) -> Roll:
-    """Hand over what every motion of a cycle looks up: `hit`, `room`, `away`, `law`, `stays`, `cap_squared`, `end`."""
+    """Hand over what every motion of a cycle looks up: the arrays of `Roll`, by name."""
     _initialise()
     q = Roll()
     for name, values in arrays.items():

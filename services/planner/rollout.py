@@ -45,13 +45,28 @@ class Tier:
     index: int
     brake: float  # [m/s²]
     jerk: float  # [m/s³]
-    soft: bool  # whether the soft checks count
+    soft: bool  # whether the soft checks count, and contact beside and behind
+    gain: float  # of the speed controller, times tau
+    most: float  # highest target speed: this times the speed now
+    swept: bool = False  # whether what comes over the ego even if it stands is let be
 
     @staticmethod
-    def all(settings: PlannerSettings) -> tuple[Tier, Tier, Tier]:
-        """Comfort, firm, emergency."""
-        a, b, c = (Tier(i, settings.tier_brake[i], settings.tier_jerk[i], i < 2) for i in range(3))
-        return a, b, c
+    def all(settings: PlannerSettings) -> tuple[Tier, ...]:
+        """Comfort, firm, squeezed, swept, hard, emergency; each given up for the next.
+
+        Squeezed: as firm, but only what is ahead counts. Swept: and that only until something comes over the ego even
+        if it stands, which no brake prevents. Braking tiers are there to brake: no faster than now, the harder the
+        further below.
+        """
+        brake, jerk = settings.tier_brake, settings.tier_jerk
+        return (
+            Tier(0, brake[0], jerk[0], True, 1.0, np.inf),
+            Tier(1, brake[1], jerk[1], True, 0.6, 1.0),
+            Tier(2, brake[1], jerk[1], False, 0.6, 0.9),
+            Tier(3, 0.5 * (brake[0] + brake[1]), jerk[1], False, 0.6, 0.8, swept=True),
+            Tier(4, brake[2], jerk[2], False, 0.4, 0.8),
+            Tier(5, brake[3], jerk[3], False, 0.3, 0.6),
+        )
 
 
 @dataclass(frozen=True)
@@ -63,6 +78,7 @@ class Field:
     slices: int
     starts: F64  # of the slices [S] [s]
     hit: F64  # s_hit [n · S · p] [m]
+    hit_ahead: F64  # s_hit of what is ahead alone [n · S · p] [m]
     room: F64  # s_hit − gap + u²/(2 b_stop) [n · S · p] [m]
     away: F64  # u [n · S · p] [m/s]
     stays: F64  # s_hit − gap of what may stay put [n · p] [m]
@@ -71,18 +87,17 @@ class Field:
     end: F64  # length that can be steered; FAR if all of it [n] [m]
     s_max: F64  # highest wanted speed at the start of each path [n] [m/s]
     gap: float  # [m]
+    swept: float = np.inf  # when something comes over where the ego is now [s]
 
     @staticmethod
     def of(
         risk: PathRisk, volume: Volume, cap: Cap, end: F64, s_max: F64, step: float, settings: PlannerSettings
     ) -> Field:
         """Slice j reads max(M_j, M_j+1): the ego may be early or late in it."""
-        r = risk.risk
-        if r.shape[1] > 1:
-            r = r.copy()
-            np.maximum(r[:, :-1], risk.risk[:, 1:], out=r[:, :-1])
-        hit = contact_distance(r, settings.r_hit, step)
-        own = contact_distance(risk.risk, settings.r_hit, step)
+        r, touch = _with_next(risk.risk), risk.risk if risk.contact is None else risk.contact
+        hit = contact_distance(r if risk.contact is None else _with_next(touch), settings.r_hit, step)
+        front = hit if risk.ahead is None else contact_distance(_with_next(risk.ahead), settings.r_hit, step)
+        own = contact_distance(touch, settings.r_hit, step)
         away = contact_speed(own, volume.starts)
         stays = contact_distance(risk.stays, settings.r_hit, step)
         worst = r.copy()
@@ -95,6 +110,7 @@ class Field:
             r.shape[1],
             volume.starts,
             hit.ravel(),
+            front.ravel(),
             room.ravel(),
             away.ravel(),
             np.where(stays < FAR, stays - settings.gap, FAR).ravel(),
@@ -103,13 +119,29 @@ class Field:
             np.where(end < step * (r.shape[2] - 1), end, FAR),
             s_max,
             settings.gap,
+            _swept(risk, volume.starts, settings.r_hit),
         )
 
     @cached_property
     def on_device(self) -> Any:
         """The same for the kernels."""
-        names = ("hit", "room", "away", "law", "stays", "cap_squared", "end")
+        names = ("hit", "hit_ahead", "room", "away", "law", "stays", "cap_squared", "end")
         return kernels.roll_field({name: getattr(self, name) for name in names})
+
+
+def _swept(risk: PathRisk, starts: F64, r_hit: float) -> float:
+    """When contact ahead comes over the place where the ego is now, if it is not there yet [s]; inf: never."""
+    here = (risk.risk if risk.ahead is None else risk.ahead)[0, :, 0] >= r_hit
+    if here[0] or not here.any():
+        return np.inf
+    return float(max(starts[max(int(np.argmax(here)) - 1, 0)], 0.0))  # a slice reads the next one too
+
+
+def _with_next(risk: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """max(M_j, M_j+1) of risk [n, S, p]."""
+    out = risk.copy()
+    np.maximum(out[:, :-1], risk[:, 1:], out=out[:, :-1])
+    return out
 
 
 @dataclass(frozen=True)
@@ -179,6 +211,7 @@ def roll_out(
         "hold_s": settings.hold_s,
         "clear": _CLEAR,
         "soft_after": _SOFT_AFTER,
+        "until": field.swept if tier.swept else 1e9,
         "headway": settings.headway,
         "stop_brake": settings.stop_brake,
     }
@@ -193,7 +226,7 @@ def _look(settings: PlannerSettings) -> float:
 
 def _gain(tier: Tier, settings: PlannerSettings) -> float:
     """Of the speed controller [1/s]."""
-    return 1.0 / (settings.tau * (1.0, 0.6, 0.3)[tier.index])
+    return 1.0 / (settings.tau * tier.gain)
 
 
 def _roll_out(
@@ -273,7 +306,7 @@ def _check(
     cell = np.minimum((s * (1.0 / field.step)).astype(np.intp), field.points - 1)
     here = (path * (field.slices * field.points))[None] + (slices * field.points)[:, None] + cell
     moving = v > 0.05
-    bad = np.where(s + _CLEAR * moving < field.hit.take(here), 0, 1)
+    bad = np.where(s + _CLEAR * moving < (field.hit if tier.soft else field.hit_ahead).take(here), 0, 1)
     if tier.soft:
         law = field.law.take(here)
         t = times[:, None]
@@ -288,6 +321,8 @@ def _check(
         soft = np.where(fast, 3, np.where(put, 4, 0)) * moving[late]
         bad[late] = np.where(bad[late] == 0, soft, bad[late])
     bad = np.where((bad == 0) & (s > field.end[path]) & moving, 5, bad)
+    if tier.swept:
+        bad[times >= field.swept - 1e-9] = 0
     any_bad = bad > 0
     failed = any_bad.any(axis=0)
     first = np.where(failed, any_bad.argmax(axis=0), n - 1)

@@ -83,9 +83,9 @@ def safe_stop(
 
     motion = braking(settings.safe_stop_brake)
     if volume is not None:
-        footprint = Footprint.of(ego, settings.footprint_spacing)
+        footprint = Footprint.of(ego, settings.footprint_spacing, settings.flank_margin)
         if first_contact(path, motion, volume, footprint, settings.r_hit) is not None:
-            motion = braking(settings.tier_brake[2])
+            motion = braking(settings.tier_brake[-1])
     valid_for = min(t0 + settings.valid_for, 10.0)
     if motion.t[-1] <= valid_for + 1e-3:
         profile = motion.until(valid_for)

@@ -54,7 +54,7 @@ def search(
         off_centre: How far off a lane's centre each path is at distances [n] [m]: there nobody should stop.
     """
     everything = np.arange(len(field.s_max))
-    comfort, firm, emergency = Tier.all(settings)
+    comfort, firm, *harder = Tier.all(settings)
 
     def both(path: Ints, tier: Tier) -> Verdict:
         """The better of going on for good, and of braking to rest after the hold."""
@@ -74,8 +74,9 @@ def search(
     todo = everything[~verdict.passed & (could > score.max())]
     if len(todo):
         verdict = _merged(verdict, todo, both(todo, firm))
-    if not verdict.passed.any():
-        verdict = _merged(verdict, everything, both(everything, emergency))
+    for tier in harder:
+        if not verdict.passed.any():
+            verdict = _merged(verdict, everything, both(everything, tier))
     return verdict
 
 
@@ -86,7 +87,7 @@ def _halves(n: int) -> tuple[slice, slice]:
 def full_brake(field: Field, start: Start, settings: PlannerSettings) -> tuple[int, Rollouts]:
     """Nothing passes: brake with all there is, on the path that meets something last."""
     n = len(field.s_max)
-    emergency = Tier.all(settings)[2]
+    emergency = Tier.all(settings)[-1]
     rollouts = roll_out(field, start, np.arange(n), np.zeros(n), np.zeros(n), emergency, settings)
     time_to_hit = np.where(rollouts.passed, len(rollouts.t) + 1, rollouts.failed_at)
     return int(np.argmax(time_to_hit)), rollouts
@@ -95,8 +96,8 @@ def full_brake(field: Field, start: Start, settings: PlannerSettings) -> tuple[i
 def _highest(field: Field, start: Start, path: Ints, holds: F64, tier: Tier, settings: PlannerSettings) -> Verdict:
     """The highest target speed that passes on each path with its hold, both [n]."""
     n = len(path)
-    # braking tiers are there to brake: no faster than now, in an emergency well below
-    s_max = np.minimum(field.s_max[path], (np.inf, start.speed, 0.6 * start.speed)[tier.index])
+    most = tier.most * start.speed if np.isfinite(tier.most) else np.inf
+    s_max = np.minimum(field.s_max[path], most)
     low, high = np.full(n, -1.0), np.full(n, 1.0)  # shares of s_max: highest passed, next that fails
     zero = np.zeros(n)
     none = np.zeros(n, dtype=np.intp)

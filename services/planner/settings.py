@@ -34,7 +34,9 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     # what risk means
     r0: NotNegative = 0.20  # up to here the speed law leaves S_max [E_max]
     r1: Positive = 0.90  # from here on it gives 0 [E_max]
-    r_hit: Positive = 0.80  # contact [E_max]
+    r_hit: Positive = 0.80  # contact: 0.3 m from a car [E_max]
+    flank_margin: NotNegative = 0.15
+    """Beside the ego contact counts from r_hit + this: 0.15 m from a car, for braking makes no room there [E_max]."""
 
     # gap, headway, horizon: the planner's own
     gap: NotNegative = 3.0  # kept to what stands ahead [m]
@@ -53,15 +55,16 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     stop_below: NotNegative = 0.4  # target speeds below this are 0 [m/s]
     restart_above: NotNegative = 1.0  # target speed at which a standing ego starts [m/s]
 
-    # braking tiers: comfort, firm, emergency
-    tier_brake: tuple[float, float, float] = (1.5, 3.0, 8.0)  # [m/s²]
-    tier_jerk: tuple[float, float, float] = (1.5, 4.0, 30.0)  # [m/s³]
+    # braking tiers: comfort, firm, hard, emergency
+    tier_brake: tuple[float, float, float, float] = (1.5, 3.0, 5.0, 8.0)  # [m/s²]
+    tier_jerk: tuple[float, float, float, float] = (1.5, 4.0, 12.0, 30.0)  # [m/s³]
     release_jerk: Positive = 10.0  # letting go of a brake harder than comfort [m/s³]
     hold_s: Positive = 1.5  # how long the target is held before the checked stop [s]
     horizon_s: Positive = 6.0  # [s]
 
     # choice of the path, in m/s of desired speed
     tier_cost: NotNegative = 6.0
+    squeeze_cost: NotNegative = 10.0  # for each E_max of mean risk beside, where contact beside cannot be avoided
     stop_off_centre_cost: NotNegative = 8.0
     mean_offset_cost: NotNegative = 0.3  # for each metre
     end_offset_cost: NotNegative = 0.15  # for each metre

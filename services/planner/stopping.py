@@ -42,6 +42,6 @@ def first_contact(
 
 
 def motion_risk(path: Path, motion: Motion, volume: Volume, footprint: Footprint) -> tuple[F64, npt.NDArray[np.bool_]]:
-    """Footprint maximum of the slice in force at each sample of a motion [m], and whether all of it is on the grid."""
+    """How near to contact ahead each sample of a motion is in its slice [m], and whether all of it is on the grid."""
     x, y, heading, _ = path.at(motion.distance)
     return timed_risk(volume, footprint, x, y, heading, motion.t)

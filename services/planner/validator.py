@@ -33,7 +33,7 @@ def validate(plan: Plan, ego: Ego, volume: Volume | None, settings: PlannerSetti
     problem = _joint_problem(profile, tail, plan.valid_for)
     if problem or volume is None:
         return problem
-    footprint = Footprint.of(ego, settings.footprint_spacing)
+    footprint = Footprint.of(ego, settings.footprint_spacing, settings.flank_margin)
     start_risk = float(trajectory_risk(profile, volume, footprint, ego)[0][0])
     for name, part in (("profile", profile), ("tail", tail)):
         problem = _risk_problem(part, ego, volume, footprint, start_risk, settings, tail=part is tail)
@@ -45,7 +45,7 @@ def validate(plan: Plan, ego: Ego, volume: Volume | None, settings: PlannerSetti
 def trajectory_risk(
     part: Trajectory, volume: Volume, footprint: Footprint, ego: Ego
 ) -> tuple[F64, npt.NDArray[np.bool_]]:
-    """Footprint maximum at each sample of a trajectory [m], slice by its time, and whether all of it is known."""
+    """How near to contact each sample of a trajectory is [m], slice by its time, and whether all of it is known."""
     half = 0.5 * ego.wheelbase
     x, y = part.x - half * np.cos(part.heading), part.y - half * np.sin(part.heading)
     return timed_risk(volume, footprint, x, y, part.heading, part.t)
@@ -132,7 +132,7 @@ def _risk_problem(
     moving = part.speed > 0.05
     bound = contact_bound(start_risk, settings)
     braking = bool(np.all(np.diff(part.speed) <= 1e-9)) and _brakes_hard(part, settings)
-    bad = moving & ~(risk <= bound)
+    bad = moving & ~(risk <= bound) & ~_comes_over(part, ego, volume, footprint, settings)
     if bad.any() and not braking:
         i = int(np.argmax(bad))
         return f"meets risk {risk[i]:.2f} at {part.t[i]:.1f} s, contact is {settings.r_hit:.2f}"
@@ -141,8 +141,22 @@ def _risk_problem(
     return ""
 
 
+def _comes_over(
+    part: Trajectory, ego: Ego, volume: Volume, footprint: Footprint, settings: PlannerSettings
+) -> npt.NDArray[np.bool_]:
+    """From when on something is where the ego is now, if it was not there at first: no plan prevents that."""
+    half = 0.5 * ego.wheelbase
+    x, y = ego.x - half * np.cos(ego.heading), ego.y - half * np.sin(ego.heading)
+    t = part.t
+    here, _ = timed_risk(volume, footprint, np.full(len(t), x), np.full(len(t), y), np.full(len(t), ego.heading), t)
+    now, _ = timed_risk(volume, footprint, np.array([x]), np.array([y]), np.array([ego.heading]), np.zeros(1))
+    if now[0] >= settings.r_hit:
+        return np.zeros(len(t), dtype=bool)
+    return np.asarray(np.maximum.accumulate(here) >= settings.r_hit)
+
+
 def _brakes_hard(part: Trajectory, settings: PlannerSettings) -> bool:
     """Whether the brake goes to the emergency tier, up to the time that it needs to build up and to let go."""
     fast = part.speed > 1.0
-    late = part.t - part.t[0] > settings.tier_brake[2] / settings.tier_jerk[2] + 0.15
-    return bool(np.all(part.acceleration[fast & late] <= -0.8 * settings.tier_brake[2]))
+    late = part.t - part.t[0] > settings.tier_brake[-1] / settings.tier_jerk[-1] + 0.15
+    return bool(np.all(part.acceleration[fast & late] <= -0.8 * settings.tier_brake[-1]))

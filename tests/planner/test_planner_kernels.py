@@ -36,21 +36,27 @@ def volume_of(rng: np.random.Generator, dtype: type) -> Volume:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([np.float16, np.float32]))
 def test_looking_up_in_the_kernel_equals_numpy(seed: int, dtype: type) -> None:
     rng = np.random.default_rng(seed)
-    volume, footprint = volume_of(rng, dtype), Footprint.of(ego_at(0.0, 0.0), 0.9)
+    volume, footprint = volume_of(rng, dtype), Footprint.of(ego_at(0.0, 0.0), 0.9, 0.15)
     x, y = rng.uniform(-15, 25, (4, 9)), rng.uniform(-15, 25, (4, 9))
     heading = rng.uniform(-7, 7, (4, 9))
     fast = path_risk(volume, footprint, x, y, heading, 1.0)
     slow = path_risk(volume, footprint, x, y, heading, 1.0, reference=True)
     np.testing.assert_allclose(fast.risk, slow.risk, atol=2e-6)
+    assert fast.contact is not None
+    assert slow.contact is not None
+    assert fast.ahead is not None
+    assert slow.ahead is not None
+    np.testing.assert_allclose(fast.ahead, slow.ahead, atol=2e-6)
+    np.testing.assert_allclose(fast.contact, slow.contact, atol=2e-6)
     np.testing.assert_allclose(fast.stays, slow.stays, atol=2e-6)
     np.testing.assert_array_equal(fast.known, slow.known)
     t = rng.uniform(0, 5, 9)
     risk, _ = timed_risk(volume, footprint, x[0], y[0], heading[0], t)
-    np.testing.assert_allclose(risk, slow.risk[0, volume.slice_at(t), np.arange(9)], atol=2e-6)
+    np.testing.assert_allclose(risk, slow.ahead[0, volume.slice_at(t), np.arange(9)], atol=2e-6)
 
 
 @settings(max_examples=40)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 2), st.floats(0, 25), st.floats(-6, 1))
+@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.floats(0, 25), st.floats(-6, 1))
 def test_rolling_out_in_the_kernel_equals_numpy(seed: int, tier: int, speed: float, acceleration: float) -> None:
     rng = np.random.default_rng(seed)
     field = field_of(blobs(rng, 5))

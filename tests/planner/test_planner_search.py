@@ -92,7 +92,7 @@ def rolled(tier: int, speed: float, target: float, hold: float, acceleration: fl
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2), st.floats(0, 25), st.floats(0, 25), st.sampled_from([0.0, 1.5, np.inf]), st.floats(-1.4, 1.0))
+@given(st.integers(0, 5), st.floats(0, 25), st.floats(0, 25), st.sampled_from([0.0, 1.5, np.inf]), st.floats(-1.4, 1.0))
 def test_rollouts_keep_the_limits_of_their_tier(
     tier: int, speed: float, target: float, hold: float, acceleration: float
 ):
