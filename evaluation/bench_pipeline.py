@@ -126,6 +126,7 @@ def _result(
         "ratio_period_to_sum": round(period / total, 4),
         "end_to_end_ms": {k: v for k, v in feed.tally.latency_ms()["end_to_end"].items() if k in ("p50", "p99")},
         "stages_ms": stages,
+        "stages_mean_ms": {name: round(float(np.mean(values)), 3) for name, values in alone.times_ms.items()},
         "one_process_cycle_ms": round(float(np.median(alone.cycles_ms)), 3),
         "pipeline_work_ms": {name: round(ms, 3) for name, ms in work.items()},
         "period_of_ms": {"plan": quantiles(feed.periods_ms, (50, 99))},
@@ -285,8 +286,9 @@ def table(r: dict[str, Any]) -> Table:
     out = Table(title=f"Pipeline with {r['objects']} road users, {r['machine']['device']}", title_justify="left")
     out.add_column("")
     out.add_column("median ms", justify="right")
+    out.add_column("mean ms", justify="right")
     for name in SERVICES:
-        out.add_row(f"{name}, alone in one process", f"{r['stages_ms'][name]:.2f}")
+        out.add_row(f"{name}, alone in one process", f"{r['stages_ms'][name]:.2f}", f"{r['stages_mean_ms'][name]:.2f}")
     out.add_row("sum of the stages", f"{r['sum_of_stages_ms']:.2f}", end_section=True)
     for name in SERVICES:
         out.add_row(f"{name}, in the pipeline (arrival to put)", f"{r['pipeline_work_ms'][name]:.2f}")
