@@ -1,9 +1,9 @@
 """Does the pipeline's period follow its slowest stage rather than the sum of the stages? `forefield bench pipeline`.
 
 **Pipeline**: router and the three services as their own processes, viz off. Objects are fed as fast as they are
-accepted: a new frame is sent once the predictor is through with the last one, as long as no more than 2 or 3 frames
-(whichever is faster in a short trial) are under way; a frame is under way until a plan that rests on it is received.
-The ego comes at 50 Hz as always. The *period* is the time between receipts of successive plans on new risk, so it
+accepted: a new frame is sent once the predictor is through with the last one, as long as no more than three frames, one
+for each stage, are under way; a frame is under way until a plan that rests on it is received. What a busy stage must
+skip meanwhile is counted. The ego comes at 50 Hz as always. The *period* is the time between receipts of successive plans on new risk, so it
 includes codec and transport. The planner steps when new risk arrives (and 50 to 70 ms after its last step otherwise),
 so its own clock does not bound it.
 
@@ -46,8 +46,8 @@ from services.predictor.settings import PredictorSettings
 from services.riskfield.core import RiskField
 from services.riskfield.settings import RiskfieldSettings
 
-IN_FLIGHT = (2, 3)
-"""Frames under way at once: two keep a dominant stage busy, three keep balanced stages busy; more would only wait."""
+IN_FLIGHT = 3
+"""Frames under way at once: one for each stage; more would only wait."""
 FRAMES = ("objects", "prediction", "risk")
 ROUNDS = 5
 WARM_FRAMES = 40
@@ -86,7 +86,8 @@ def measure(tree: Tree, *, objects: int = 32, frames: int = 300) -> dict[str, An
         crew.wait_ready(statuses, rig.ready_timeout_s)
         feed.block(WARM_FRAMES)
         feed.tally.begin()
-        feed.choose(IN_FLIGHT)
+        feed.block(WARM_FRAMES)
+        feed.forget()
         alone.block(WARM_FRAMES, feed.time_s)
         alone.clear()
         feed.tally.begin()
@@ -132,8 +133,7 @@ def _result(
         "period_of_ms": {"plan": quantiles(feed.periods_ms, (50, 99))},
         "frames": {"pipeline": len(feed.periods_ms), "one_process": len(alone.cycles_ms), "skipped": skipped},
         "stalls": feed.stalls,
-        "in_flight": feed.in_flight,
-        "trial_period_ms": {str(n): ms for n, ms in feed.trial_ms.items()},
+        "in_flight": IN_FLIGHT,
         "objects": objects,
         "modes": {"pipeline": dict(feed.modes), "one_process": alone.modes},
         "machine": {
@@ -150,7 +150,6 @@ class _Feed:
 
     def __init__(self, bus: Bus, scene: BenchScene, crew: Crew) -> None:
         self._bus, self._scene, self._crew = bus, scene, crew
-        self.in_flight = IN_FLIGHT[0]
         self._ego, self._objects = bus.publisher(EGO), bus.publisher(OBJECTS)
         self.tally = Tally(bus.boot)
         self.tally.listen(bus, (PREDICTION, PLAN))  # not `risk`: its volume would pass through the router once more
@@ -164,7 +163,6 @@ class _Feed:
         self._ego_ns = 0
         self.periods_ms: list[float] = []
         self.stalls = 0
-        self.trial_ms: dict[int, float] = {}
 
     def time_s(self) -> float:
         """Time of the scene: it moves on in real time."""
@@ -190,21 +188,15 @@ class _Feed:
             plan = self._plans.take()
             if plan is not None and plan.cause is not None and plan.cause.seq >= goal:
                 self.modes[plan.value.mode] += 1
-            if self._last - max(self._seen(), goal - 1) < self.in_flight and self._accepted(goal):
+            if self._last - max(self._seen(), goal - 1) < IN_FLIGHT and self._accepted(goal):
                 self._put()
             self._bus.wait((self._ego_ns + EGO_NS - time.monotonic_ns()) * 1e-9)
         with_new = self.tally.arrivals["plan"][before:]
         self.periods_ms += list(np.diff(with_new) * 1e-6)
         self.stalls += stalls
 
-    def choose(self, numbers: tuple[int, ...]) -> None:
-        """Try each number of frames under way, keep the fastest; start counting anew."""
-        medians = self.trial_ms
-        for self.in_flight in numbers:
-            self.periods_ms.clear()
-            self.block(WARM_FRAMES)
-            medians[self.in_flight] = round(float(np.median(self.periods_ms)), 3)
-        self.in_flight = min(medians, key=lambda n: medians[n])
+    def forget(self) -> None:
+        """Start counting anew."""
         self.periods_ms.clear()
         self.modes.clear()
         self.stalls = 0
