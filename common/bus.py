@@ -356,7 +356,7 @@ def _connect(settings: BusSettings, stop: threading.Event, wait_s: float) -> zen
             if stop.is_set() or time.monotonic() >= end:
                 raise NoRouterError(f"no router at {where}: is it running, and is bus.connect right?") from None
             if not told:
-                log.warning("waiting for the router at %s (%s)", where, str(e).split("  at ")[0])
+                log.warning("waiting for the router at %s (%s)", where, str(e).split(" at /")[0])
                 told = True
         stop.wait(0.1)
 

@@ -23,6 +23,9 @@ from common.topics import VERSION_MAJOR, Topic
 MAX_CONTAINERS = 200_000
 """Maps and arrays in one message, all depths together."""
 
+MAX_DIMENSION = 2**24
+"""Largest length of an array along one dimension: an array without bytes must not claim millions of rows either."""
+
 M = TypeVar("M", bound=Message)
 
 
@@ -163,7 +166,11 @@ def _read_array(kind: type, value: Any) -> Any:
 def _from_bytes(dtype: Any, shape: Any, data: Any) -> np.ndarray[Any, Any]:
     if not isinstance(dtype, str) or dtype not in _DTYPES:
         raise _ArrayError("dtype", f"{dtype!r:.40}")
-    if not isinstance(shape, list) or len(shape) > 4 or not all(type(n) is int and 0 <= n < 2**32 for n in shape):
+    if (
+        not isinstance(shape, list)
+        or len(shape) > 4
+        or not all(type(n) is int and 0 <= n <= MAX_DIMENSION for n in shape)
+    ):
         raise _ArrayError("shape", f"{shape!r:.60}")
     if not isinstance(data, bytes | memoryview):
         raise _ArrayError("type", "array data must be binary")

@@ -231,7 +231,9 @@ class Prediction(Message, frozen=True, kw_only=True):
     sigma: Annotated[F32, Array(("<f4",), ("n", PREDICTION_FRAMES), 0, 100)] | None = None  # spread [m]
 
     def problem(self) -> str:
-        """Ids must differ and there may be at most MAX_OBJECTS of them."""
+        """Ids must differ, there may be at most MAX_OBJECTS of them, and no more past than histories hold."""
+        if self.past_x.shape[1] > HISTORY_FRAMES:
+            return f"past of {self.past_x.shape[1]} frames, at most {HISTORY_FRAMES}"
         return _id_problem(self.id)
 
 

@@ -48,9 +48,14 @@ class Ending:
         self.stop.set()
         for bus in self._wake:
             bus.interrupt()
-        leave = threading.Timer(EXIT_DEADLINE_S, os._exit, (0,))
+        leave = threading.Timer(EXIT_DEADLINE_S, _leave)
         leave.daemon = True
         leave.start()
+
+
+def _leave() -> None:
+    log.error("still busy %.1f s after being asked to stop: leaving", EXIT_DEADLINE_S)
+    os._exit(0)
 
 
 @contextmanager
@@ -61,8 +66,12 @@ def reporting(health: Health, status: Publisher, settings: ServiceSettings) -> I
     thread.start()
     try:
         yield
+        if health.state != "stopping":
+            health.say("stopping", "asked to stop")
+    except BaseException as e:
+        health.say("stopping", f"{type(e).__name__}: {e}")
+        raise
     finally:
-        health.say("stopping", "asked to stop" if health.state != "stopping" else health.reason)
         stop.set()
         thread.join(timeout=1.0)
 

@@ -3,9 +3,9 @@
 **Pipeline**: router and the three services as their own processes, viz off. Objects are fed as fast as they are
 accepted: a new frame is sent once the predictor is through with the last one, as long as no more than three frames, one
 for each stage, are under way; a frame is under way until a plan that rests on it is received. What a busy stage must
-skip meanwhile is counted. The ego comes at 50 Hz as always. The *period* is the time between receipts of successive plans on new risk, so it
-includes codec and transport. The planner steps when new risk arrives (and 50 to 70 ms after its last step otherwise),
-so its own clock does not bound it.
+skip meanwhile is counted. The ego comes at 50 Hz as always. The *period* is the time between receipts of successive
+plans on new risk, so it includes codec and transport. The planner steps when new risk arrives (and 50 to 70 ms after
+its last step otherwise), so its own clock does not bound it.
 
 **One process**: the same cores on the same scene, called one after another, nothing encoded and nothing sent; blocks of
 both alternate within one run, so that both see the same machine. `stages_ms` are the medians of its stages and

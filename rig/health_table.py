@@ -8,6 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from common.bus import Bus
+from common.messages import InputHealth
 from common.topics import STATUS_OF
 from rig.launcher import SERVICES
 from rig.statuses import Statuses
@@ -35,6 +36,12 @@ def healthy(statuses: Statuses) -> bool:
     return all(statuses.state(name) == "ready" for name in SERVICES)
 
 
+def _word(i: InputHealth) -> str:
+    if not i.alive:
+        return "missing" if i.received else "none yet"
+    return "refused" if not i.valid else "ok" if i.rate_ok else "odd rate"
+
+
 def table(statuses: Statuses, alive: set[str]) -> Table:
     """One row for each service, with its inputs and what it did not use."""
     out = Table(title="Forefield")
@@ -48,10 +55,7 @@ def table(statuses: Statuses, alive: set[str]) -> Table:
                 out.add_row(name, "[red]silent[/]", seen)
             continue
         s = latest[name].value
-        inputs = [
-            f"{topic} {f'{i.rate_hz:.0f} Hz' if i.rate_hz else ''} {'ok' if i.alive and i.valid else 'missing'}"
-            for topic, i in s.inputs.items()
-        ]
+        inputs = [f"{topic} {f'{i.rate_hz:.0f} Hz' if i.rate_hz else ''} {_word(i)}" for topic, i in s.inputs.items()]
         unused = [f"{k} {n}" for k, n in sorted(s.counters.items()) if n and k.partition(":")[0] in s.inputs]
         work = f"{s.work_ms.get('p50', 0):.1f} / {s.work_ms.get('p99', 0):.1f} ms"
         out.add_row(

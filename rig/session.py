@@ -58,8 +58,8 @@ def play(
     """
     with running(tree, services_for(tree), attach=options.attach, logs=options.logs) as (tree, crew):
         while True:
-            _drive(scenario, tree, options, crew, show, done)
-            if not options.loop:
+            up = _drive(scenario, tree, options, crew, show, done)
+            if not options.loop or (crew is not None and not up):  # our own services do not come back by themselves
                 return
 
 
@@ -100,7 +100,8 @@ def _drive(
     crew: Crew | None,
     show: Callable[[Moment], None],
     done: Callable[[Report], None],
-) -> None:
+) -> bool:
+    """Drive once and report; returns whether the services stayed up."""
     rig = config.section(tree, "rig", RigSettings)
     duration = scenario.duration_s if options.duration_s is None else min(options.duration_s, scenario.duration_s)
     bus_settings = config.section(tree, "bus", BusSettings)
@@ -124,7 +125,9 @@ def _drive(
         except StopRequest:
             done(report(live, tree, failures))
             raise
+    up = not failures
     done(report(live, tree, failures))
+    return up
 
 
 def _wait_for_others(statuses: Statuses, timeout_s: float, tree: Tree) -> None:

@@ -45,7 +45,7 @@ class Planner:
         route: Stamped[Route] | None,
         now_ns: int,
     ) -> Plan:
-        """Plan once. Times of the plan count from the ego's `capture_ns`, or from `now_ns` without an ego.
+        """Plan once. Times of the plan count from `capture_ns(ego, now_ns)`.
 
         Never raises: an error inside becomes a safe stop that names it.
         """
@@ -137,26 +137,32 @@ class Planner:
         """Brake from where the ego is now, or, if its state is old, from where the last plan has it by now."""
         if ego is None:
             return Plan(mode="safe_stop", reason=reason[:1000], planner=self._settings.name), None
-        t0 = 0.0
         volume = None
         if risk is not None:
             volume = Volume.of(risk.value, risk.capture_ns, ego.capture_ns)
-        old = not (ego.age_s(now_ns) <= self._settings.max_ego_age)
+        old = self._is_old(ego, now_ns)
         try:
             start, travelled = self._start(ego)
             path, distance = (self._memory.path, travelled) if self._memory and travelled is not None else (None, 0.0)
             if old and self._memory is not None:
-                t0 = min(max(ego.age_s(now_ns), 0.0), 9.0)
-                start, distance = self._memory.state(ego.capture_ns + round(t0 * 1e9))
+                start, distance = self._memory.state(now_ns)
                 path = self._memory.path
-            plan, memory = safe_stop(
-                reason, start, path, distance, t0, ego.value, None if old else volume, self._settings
-            )
+            plan, memory = safe_stop(reason, start, path, distance, ego.value, None if old else volume, self._settings)
             check(plan)
         except Exception as e:  # the last line of defence: hold still, and say everything
             text = f"{reason}; and the stop itself failed: {type(e).__name__}: {e}"
             return Plan(mode="safe_stop", reason=text[:1000], planner=self._settings.name), None
-        return plan, None if memory is None else replace(memory, capture_ns=ego.capture_ns)
+        return plan, None if memory is None else replace(memory, capture_ns=self.capture_ns(ego, now_ns))
+
+    def capture_ns(self, ego: Stamped[Ego] | None, now_ns: int) -> int:
+        """From when on the times of a plan count: the ego's capture, or now where no ego or only an old one is known.
+
+        A plan that says for seconds on end that the ego is silent must not itself be refused as old.
+        """
+        return now_ns if ego is None or self._is_old(ego, now_ns) else ego.capture_ns
+
+    def _is_old(self, ego: Stamped[Ego], now_ns: int) -> bool:
+        return not (ego.age_s(now_ns) <= self._settings.max_ego_age)
 
     @staticmethod
     def _moving(ego: Stamped[Ego]) -> bool:

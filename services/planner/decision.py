@@ -40,10 +40,11 @@ def explain(
     cx, cy = volume.cell_centre(*cell)
     side = _side(obstruction.path, obstruction.distance, float(footprint.x[k]), float(footprint.y[k]), volume, j)
     where = f"{abs(side):.1f} m {'left' if side > 0 else 'right'} of the path" if abs(side) > 0.3 else "on the path"
-    term = slot.term if slot is not None else "potential"
+    term = slot.term if slot is not None else None
     start = float(volume.starts[j])
+    source = _name(slot) + (f", {term} term" if term else "")
     sentence = (
-        f"{verb(desired, speed)}: {_name(slot)}, {term} term, slice {max(start, 0.0):.1f} s, {where},"
+        f"{verb(desired, speed)}: {source}, slice {max(start, 0.0):.1f} s, {where},"
         f" {obstruction.distance:.0f} m ahead{_why(kind)}"
     )
     return Decision(

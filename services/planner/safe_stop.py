@@ -57,7 +57,6 @@ def safe_stop(
     start: Start,
     path: Path | None,
     distance: float,
-    t0: float,
     ego: Ego,
     volume: Volume | None,
     settings: PlannerSettings,
@@ -69,7 +68,6 @@ def safe_stop(
         start: State of the rear axle.
         path: The path driven so far, if it is known.
         distance: Where on the path the start is [m].
-        t0: Time of the start, from the plan's capture [s].
         ego: For size and wheelbase.
         volume: The risk, if it is still good for anything: the stop is harder where a firm one would meet something.
         settings: The brakes.
@@ -79,14 +77,14 @@ def safe_stop(
     a = start.acceleration if start.speed > 0.0 else 0.0
 
     def braking(brake: float) -> Motion:
-        return brake_motion(t0, distance, start.speed, a, brake, 4.0 * brake)
+        return brake_motion(0.0, distance, start.speed, a, brake, 4.0 * brake)
 
     motion = braking(settings.safe_stop_brake)
     if volume is not None:
         footprint = Footprint.of(ego, settings.footprint_spacing, settings.flank_margin)
         if first_contact(path, motion, volume, footprint, settings.r_hit) is not None:
             motion = braking(settings.tier_brake[-1])
-    valid_for = min(t0 + settings.valid_for, 10.0)
+    valid_for = settings.valid_for
     if motion.t[-1] <= valid_for + 1e-3:
         profile = motion.until(valid_for)
         tail = brake_motion(valid_for, float(motion.distance[-1]), 0.0, 0.0, settings.safe_stop_brake, 1.0)

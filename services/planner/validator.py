@@ -156,7 +156,11 @@ def _comes_over(
 
 
 def _brakes_hard(part: Trajectory, settings: PlannerSettings) -> bool:
-    """Whether the brake goes to the emergency tier, up to the time that it needs to build up and to let go."""
+    """Whether it brakes with the emergency tier, the time to build up and let go aside, and is at rest accordingly."""
+    brake, jerk = settings.tier_brake[-1], settings.tier_jerk[-1]
+    last = float(part.t[part.speed > 0.05].max(initial=part.t[0]) - part.t[0])
+    if not (last <= float(part.speed[0]) / (0.5 * brake) + brake / jerk + 0.5):
+        return False
     fast = part.speed > 1.0
     late = part.t - part.t[0] > settings.tier_brake[-1] / settings.tier_jerk[-1] + 0.15
     return bool(np.all(part.acceleration[fast & late] <= -0.8 * settings.tier_brake[-1]))

@@ -19,10 +19,16 @@ def build(tree: config.Tree, health: Health) -> Step:
         core = RiskField(settings, config.section(tree, "risk", RiskParameters), settings.device)
     except RuntimeError as e:  # no such device here
         raise ConfigError(str(e)) from None
-    core.warm_up()
+    try:
+        core.warm_up()
+    except RuntimeError as e:
+        raise FatalError(f"the kernels do not run on {core.device}: {e}") from e
     health.detail["device"] = core.device
 
+    used: tuple[str, int] | None = None
+
     def step(inputs: Inputs) -> Output | Idle:
+        nonlocal used
         prediction = inputs.fresh(topics.PREDICTION)
         ego, world = inputs.fresh(topics.EGO), inputs.latest(topics.MAP)
         closures = inputs.latest(topics.CLOSURES)
@@ -30,7 +36,8 @@ def build(tree: config.Tree, health: Health) -> Step:
             return Idle("no fresh prediction: is the predictor running and are objects published?")
         if ego is None:
             return Idle("no fresh ego: is the vehicle publishing it?")
-        renewed = topics.PREDICTION.suffix in inputs.new
+        renewed = (prediction.boot, prediction.seq) != used
+        used = (prediction.boot, prediction.seq)
         # predictor silent: the last prediction's field, shifted in time, until it is too old to be fresh
         t_offset = 0.0 if renewed else prediction.age_s(inputs.now_ns)
         try:

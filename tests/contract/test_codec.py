@@ -250,3 +250,15 @@ def test_headers_stay_within_their_limit() -> None:
     topic = topics.RISK
     _, body = codec.encode_body(topic, samples.risk(slots=slots))
     assert len(codec.encode_header(topic, header(topic, body=body))) <= 8 * 1024
+
+
+def test_an_array_without_bytes_may_not_claim_millions_of_rows() -> None:
+    for frames, reason in ((2**31, "shape"), (20_000_000, "shape"), (1_000, "content")):
+        topic, _, attachment, _ = sent("prediction")
+        payload, _ = codec.encode_body(topic, samples.prediction(0))
+        fields = msgpack.unpackb(payload)
+        for name in ("past_x", "past_y"):
+            fields[name]["shape"] = [0, frames]
+        with pytest.raises(RefusedError) as caught:
+            codec.decode_body(topic, codec.decode_header(topic, attachment), msgpack.packb(fields))
+        assert caught.value.reason == reason

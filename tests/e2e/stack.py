@@ -27,7 +27,7 @@ class Vehicle:
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
-        self.objects_too = True
+        self.objects_too = self.ego_too = True
         self._publishers = {t.suffix: bus.publisher(t) for t in (topics.EGO, topics.OBJECTS, topics.MAP, topics.ROUTE)}
         self._inboxes = {
             t.suffix: bus.inbox(t) for t in (topics.PLAN, topics.RISK, *(topics.STATUS_OF[s] for s in SERVICES))
@@ -75,7 +75,8 @@ class Vehicle:
             now = monotonic()
             # round and round on the first 100 m, so that the road never ends; the jump back is a new beginning
             x = -40.0 + (SPEED * t) % 100.0
-            self._publishers["ego"].put(samples.ego(x=x, vx=SPEED), capture_ns=now)
+            if self.ego_too:
+                self._publishers["ego"].put(samples.ego(x=x, vx=SPEED), capture_ns=now)
             if k % 5 == 0 and self.objects_too:
                 self._publishers["objects"].put(samples.objects(1, x=samples.objects(1).x + x), capture_ns=now)
             k += 1

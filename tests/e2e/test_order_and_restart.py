@@ -129,6 +129,25 @@ def test_a_silent_predictor_is_bridged_for_300_ms_and_then_the_riskfield_stops_a
     until(vehicle.drives, within_s=WARM_S, what="driving again")
 
 
+def test_a_silent_ego_is_a_safe_stop_that_is_heard_as_long_as_it_lasts(running: tuple[Stack, Vehicle]) -> None:
+    _, vehicle = running
+    until(vehicle.drives, within_s=WARM_S, what="a plan to drive")
+    vehicle.ego_too = False
+    try:
+        first = until(lambda: (p := vehicle.plan()) and p.mode == "safe_stop" and vehicle.newest("plan"), what="a stop")
+
+        def later() -> bool:
+            stamped = vehicle.newest("plan")
+            assert stamped is not None, "the planner is heard all the time"
+            return stamped.value.mode == "safe_stop" and stamped.seq >= first.seq + 20
+
+        until(later, what="a second of safe stops")
+        assert not [c for c in vehicle.bus.counters if c == "plan:stale"]
+    finally:
+        vehicle.ego_too = True
+    until(vehicle.drives, within_s=WARM_S, what="driving again")
+
+
 def test_the_planner_process_hears_ego_map_route_and_risk_and_nothing_else(running: tuple[Stack, Vehicle]) -> None:
     _, vehicle = running
     status = until(lambda: vehicle.status("planner"), what="the planner's status")

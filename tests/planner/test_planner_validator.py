@@ -11,7 +11,7 @@ import pytest
 from common.messages import Map, Plan, Trajectory
 from services.planner.core import Planner
 from services.planner.settings import PlannerSettings
-from services.planner.validator import validate
+from services.planner.validator import _brakes_hard, validate
 from services.planner.volume import Volume
 from tests.planner.worlds import box, ego_at, risk_of, stamped, straight_route
 
@@ -116,3 +116,10 @@ def test_what_the_validator_refuses_is_never_published(monkeypatch: pytest.Monke
     assert "it is crooked" in plan.reason
     assert plan.tail is not None
     assert plan.tail.speed[-1] == 0.0
+
+
+def test_creeping_into_contact_is_not_braking_hard() -> None:
+    t = 0.1 * np.arange(31)
+    zero = np.zeros(31)
+    creep = Trajectory(t=t, x=0.9 * t, y=zero, heading=zero, curvature=zero, speed=zero + 0.9, acceleration=zero)
+    assert not _brakes_hard(creep, PlannerSettings())
