@@ -71,9 +71,9 @@ def search(
     score = np.where(verdict.passed, verdict.desired - verdict.penalty - cost, -np.inf)
     # a firmer tier counts only where comfort fails, and only if it could be better
     could = np.minimum(field.s_max, max(start.speed, 1.0)) - cost - settings.tier_cost
-    todo = everything[~verdict.passed & (could > score.max())]
-    if len(todo):
-        verdict = _merged(verdict, todo, both(todo, firm))
+    unsettled = everything[~verdict.passed & (could > score.max())]
+    if len(unsettled):
+        verdict = _merged(verdict, unsettled, both(unsettled, firm))
     for tier in harder:
         if not verdict.passed.any():
             verdict = _merged(verdict, everything, both(everything, tier))

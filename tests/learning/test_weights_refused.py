@@ -132,7 +132,6 @@ def test_good_weights_are_used_from_thirty_frames_on_and_only_for_their_classes(
     assert methods[28] == Method.CONSTANT_VELOCITY and methods[30] == Method.LSTM
 
 
-@pytest.mark.skipif(not (SHIPPED / CARD).is_file(), reason="no weights are shipped")
 def test_the_shipped_weights_are_small_whole_and_of_open_data():
     card = read_card(SHIPPED)
     for name in card["networks"]:
