@@ -1,4 +1,4 @@
-"""What is seen while a run goes on: one live line of figures on a terminal, nothing elsewhere."""
+"""What is seen while a run goes on: a live line of figures on a terminal, elsewhere a line as each phase begins."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from rig.exits import say
 from rig.live import Moment
 
 COLOURS = {"drive": "green", "waiting": "yellow", "safe_stop": "red"}
@@ -17,9 +18,16 @@ COLOURS = {"drive": "green", "waiting": "yellow", "safe_stop": "red"}
 
 @contextmanager
 def progress(console: Console, title: str) -> Iterator[Callable[[Moment], None]]:
-    """Give a function that shows a moment; quiet where there is no terminal."""
+    """Give a function that shows a moment; where there is no terminal it prints no more than each phase's beginning."""
     if not console.is_terminal:
-        yield lambda _: None
+        begun: list[str] = []
+
+        def tell(moment: Moment) -> None:
+            if moment.phase not in begun:
+                begun.append(moment.phase)
+                say(escape(f"{title}: {moment.phase}"))
+
+        yield tell
         return
     with Live(f"{escape(title)}: starting router and services …", console=console, refresh_per_second=4) as live:
         yield lambda moment: live.update(_row(title, moment))

@@ -197,6 +197,8 @@ def test_services_serve_a_vehicle_from_elsewhere_and_health_says_so(tmp_path):
                     return asked.returncode == 0
 
             until(ready, within_s=60.0, what="a healthy system")
+            assert vehicle.stderr is not None
+            until(lambda: "demo: run\n" in vehicle.stderr.readline(), within_s=60.0, what="the drive after the run-up")
             vehicle.send_signal(signal.SIGTERM)
             vehicle.communicate(timeout=30)
             assert vehicle.returncode == 143
