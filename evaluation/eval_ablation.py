@@ -1,11 +1,14 @@
 """The paper's ablations: `forefield eval ablation`, the same network with and without an input, over several seeds.
 
-For every seed the arms see the same batches in the same order. A difference is the arm's error minus the full network's
-in per cent of the full network's (positive: leaving it out hurts); intervals resample seeds and recordings together.
+For every seed the arms see the same batches in the same order. A difference is the arm's error minus its reference's in
+per cent of the reference's (positive: leaving it out hurts); the reference is the full network, and for `motion_alone`
+the arm without leaders, so that it tells what surrounding risk is worth to a network that does not see who drives ahead.
+Intervals resample seeds and recordings together.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -27,19 +30,21 @@ from services.predictor.lstm import Architecture, Form
 from services.predictor.settings import PredictorSettings
 from services.predictor.weight_files import Loaded
 
-ARMS = ("full", "no_risk", "no_attention", "no_leader")
+REFERENCE = {"motion_alone": "no_leader"}
+"""What an arm is compared with; otherwise with `full`."""
 
 
-def arms(form: Form, hidden: int, names: Sequence[str] = ARMS) -> dict[str, Architecture]:
-    """The full network and what each arm leaves out."""
+def arms(form: Form, hidden: int) -> dict[str, Architecture]:
+    """The full network and what each arm leaves out; the paper's form has no leaders to leave out."""
     full = Architecture(form=form, hidden=hidden)
-    known = {
-        "full": full,
-        "no_risk": replace(full, risk=False),
-        "no_attention": replace(full, attention=False),
+    paper = {"full": full, "no_risk": replace(full, risk=False), "no_attention": replace(full, attention=False)}
+    if form == "paper":
+        return paper
+    return {
+        **paper,
         "no_leader": replace(full, leader=False),
+        "motion_alone": replace(full, leader=False, risk=False),
     }
-    return {n: known[n] for n in names if not (form == "paper" and n == "no_leader")}
 
 
 def ablation(
@@ -61,13 +66,17 @@ def ablation(
     if not len(chosen):
         raise ValueError("no moving vehicle with 3 s of history and 6 s of future to compare on")
     error: dict[str, list[F64]] = {name: [] for name in architectures}
+    begin, done, whole = time.monotonic(), 0, len(seeds) * len(architectures)
     for seed in seeds:
         for name, architecture in architectures.items():
-            own = Options(**{**asdict(options), "seed": seed})
+            own = replace(options, seed=seed)
             file = None if checkpoints is None else checkpoints / f"{architecture.form}-{name}-{seed}.checkpoint"
             fitted = fit(architecture, data.recorded, data.generated, own, device=device, checkpoint=file)
             error[name].append(_errors(Loaded(name, fitted.network, (1.0, 1.0), frozenset(LEARNED_CLASSES)), chosen))
-            progress(f"seed {seed}, {name}: FDE at 6 s {error[name][-1][:, 2, 1].mean():.2f} m")
+            done += 1
+            to_go = (time.monotonic() - begin) / done * (whole - done)
+            fde = error[name][-1][:, 2, 1].mean()
+            progress(f"{done} of {whole}: seed {seed}, {name}: FDE at 6 s {fde:.2f} m; {to_go:.0f} s to go")
     stacked = {name: np.stack(e) for name, e in error.items()}
     sites = np.array(chosen.sites)[chosen.recording]
     rows = {"pooled": np.ones(len(chosen), dtype=bool), **{s: sites == s for s in sorted(set(sites))}}
@@ -102,16 +111,18 @@ def _compared(error: Mapping[str, F64], data: Windows, rows: scoring.Bool, repea
         entry: dict[str, Any] = {}
         for h, k in enumerate(scoring.HORIZONS):
             for c, what in enumerate(("ade", "fde")):
-                own, full = e[:, rows, h, c], error["full"][:, rows, h, c]
+                reference = REFERENCE.get(name, "full")
+                own, other = e[:, rows, h, c], error[reference][:, rows, h, c]
                 per_seed = own.mean(axis=1)
-                score: dict[str, Any] = {"mean": float(per_seed.mean()), "sd_of_seeds": float(per_seed.std())}
+                score: dict[str, Any] = {"mean": float(per_seed.mean()), "sd_of_seeds": float(per_seed.std(ddof=1))}
                 if name != "full":
-                    sums = [np.stack([np.bincount(units, weights=s) for s in v]) for v in (own, full)]
+                    sums = [np.stack([np.bincount(units, weights=s) for s in v]) for v in (own, other)]
                     a, b = (np.einsum("rs,su,ru->r", drawn_seeds, s, drawn) for s in sums)
                     low, high = np.percentile(100.0 * (a / b - 1.0), scoring.LEVEL)
-                    score["change_percent"] = float(100.0 * (own.mean() / full.mean() - 1.0))
+                    score["reference"] = reference
+                    score["change_percent"] = float(100.0 * (own.mean() / other.mean() - 1.0))
                     score["change_ci"] = [float(low), float(high)]
-                    score["seeds_worse"] = int((own.mean(axis=1) > full.mean(axis=1)).sum())
+                    score["seeds_worse"] = int((per_seed > other.mean(axis=1)).sum())
                 entry[f"{what}_{k}"] = score
         result[name] = entry
     return result
@@ -120,7 +131,7 @@ def _compared(error: Mapping[str, F64], data: Windows, rows: scoring.Bool, repea
 def table(result: Mapping[str, Any]) -> Table:
     """Change at 6 s when an input is left out."""
     out = Table(title=f"left out, change of the error at 6 s; {len(result['seeds'])} seeds")
-    for column in ("site", "arm", "ADE [m]", "FDE [m]", "ADE change [%]", "FDE change [%]"):
+    for column in ("site", "arm", "ADE [m]", "FDE [m]", "against", "ADE change [%]", "FDE change [%]", "worse"):
         out.add_column(column, no_wrap=True)
     for site, compared in result["results"].items():
         for arm in result["arms"]:
@@ -132,5 +143,6 @@ def table(result: Mapping[str, Any]) -> Table:
                 else ""
                 for s in (ade, fde)
             ]
-            out.add_row(site, arm, *cells, *changes)
+            worse = f"{fde['seeds_worse']}/{len(result['seeds'])}" if "seeds_worse" in fde else ""
+            out.add_row(site, arm, *cells, fde.get("reference", ""), *changes, worse)
     return out

@@ -111,10 +111,15 @@ def test_the_ablation_pairs_seeds_and_says_how_sure_it_is(tmp_path):
     file = table(tmp_path / "made.csv", [traffic(f"r{i}", k=110, seed=i) for i in range(5)])
     data = training.read([file], [], P, 10)
     test = windows([traffic(f"u{i}", k=100, seed=30 + i) for i in range(2)], P, stride=10)
-    arms = eval_ablation.arms("residual", 8, ("full", "no_risk"))
+    known = eval_ablation.arms("residual", 8)
+    arms = {n: known[n] for n in ("full", "no_risk", "no_leader", "motion_alone")}
     result = eval_ablation.ablation(data, test, arms, Options(steps=4, batch=16), range(2), repeats=50)
     change = result["results"]["pooled"]["no_risk"]["fde_60"]
     assert change["change_ci"][0] <= change["change_percent"] <= change["change_ci"][1]
     assert 0 <= change["seeds_worse"] <= 2
+    pooled = result["results"]["pooled"]
+    alone, blind = pooled["motion_alone"]["ade_60"], pooled["no_leader"]["ade_60"]
+    assert alone["reference"] == "no_leader"
+    assert alone["change_percent"] == pytest.approx(100 * (alone["mean"] / blind["mean"] - 1))
     json.dumps(result)
     assert "no_leader" not in eval_ablation.arms("paper", 8)
