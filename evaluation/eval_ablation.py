@@ -2,7 +2,7 @@
 
 For every seed the arms see the same batches in the same order. A difference is the arm's error minus its reference's in
 per cent of the reference's (positive: leaving it out hurts); the reference is the full network, and for `motion_alone`
-the arm without leaders, so that it tells what surrounding risk is worth to a network that does not see who drives ahead.
+the arm without leaders, so that it tells what surrounding risk is worth to a network that sees no one ahead.
 Intervals resample seeds and recordings together.
 """
 
