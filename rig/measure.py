@@ -1,9 +1,7 @@
 """What a drive was like, measured from the world: the planner's own view of it is never asked.
 
 Every figure comes from the driven states and the objects as they were. The plan in force is kept only to say why the
-vehicle slowed down. Longitudinal acceleration is the driven speed's difference quotient over 0.2 s, jerk the difference
-quotient of that over 0.2 s again (support 0.4 s, so that the integration step does not show); lateral acceleration is
-speed · yaw rate, averaged over 0.2 s.
+vehicle slowed down. Comfort is that of `rig.comfort`, slow-downs are those of `rig.interventions`.
 """
 
 from __future__ import annotations
@@ -15,14 +13,11 @@ from typing import Any
 import numpy as np
 
 from common.geometry import Polyline, distance_between_rectangles, rectangle_corners, wrap_angle
-from common.messages import F64, FRAME_S, Ego, Objects, Plan
+from common.messages import FRAME_S, Ego, Objects, Plan
+from rig.comfort import motion
+from rig.interventions import DROP_WITHIN_S, STOP_MPS, Reason, interventions, reason_of
 from rig.world import Scenario
 
-GRID_S = 0.05  # s, the grid on which speeds are compared
-DROP_MPS = 1.0  # m/s, a slow-down worth explaining …
-DROP_WITHIN_S = 2.0  # s, … within this
-STOP_MPS = 0.1  # m/s, slower is a stop …
-MOVING_MPS = 0.5  # m/s, … for one who moved at least this fast
 LANE_KEEPING_M = 1.0  # m, more lateral motion than this within 2 s is not keeping the lane
 GENTLE_BRAKE = 3.0  # m/s²
 
@@ -39,15 +34,6 @@ class Collision:
     relative_speed: float  # [m/s]
 
 
-@dataclass(frozen=True)
-class _Reason:
-    mode: str
-    sentence: str
-    source_id: int | None
-    term: str | None
-    slice_s: float | None
-
-
 @dataclass
 class Measure:
     """Give it every state of the drive in order of time; ask for the `summary` at any moment."""
@@ -55,14 +41,14 @@ class Measure:
     scenario: Scenario
     _t: list[float] = field(default_factory=list)
     _ego: list[Ego] = field(default_factory=list)
-    _reasons: list[_Reason | None] = field(default_factory=list)
+    _reasons: list[Reason | None] = field(default_factory=list)
     collisions: list[Collision] = field(default_factory=list)
     min_clearance_m: float | None = None
     min_clearance: dict[str, Any] = field(default_factory=dict)
     goal_t: float | None = None
     _counts: bool = False
     _last_plan: Plan | None = None
-    _last_reason: _Reason | None = None
+    _last_reason: Reason | None = None
 
     def observe(self, t: float, ego: Ego, objects: Objects, plan: Plan | None) -> None:
         """Note the state at `t` [s] of the run, with the objects at that very time and the plan then in force."""
@@ -71,7 +57,7 @@ class Measure:
         self._t.append(t)
         self._ego.append(ego)
         if plan is not self._last_plan:
-            self._last_plan, self._last_reason = plan, _reason(plan)
+            self._last_plan, self._last_reason = plan, reason_of(plan)
         self._reasons.append(self._last_reason)
         self._contacts(t, ego, objects)
         goal = self.scenario.route.goal
@@ -155,8 +141,7 @@ class Measure:
 
     def summary(self) -> dict[str, Any]:
         """The `ego` and `interventions` parts of a run's report."""
-        t, v, lateral = self._on_grid()
-        a, jerk = _rates(v)
+        on_grid = motion(self._t, [e.speed for e in self._ego], [e.yaw_rate for e in self._ego])
         driven = np.hypot(np.diff([e.x for e in self._ego]), np.diff([e.y for e in self._ego])) if self._t else []
         distance = float(np.sum(driven))
         span = float(self._t[-1] - self._t[0]) if len(self._t) > 1 else 0.0
@@ -178,105 +163,12 @@ class Measure:
             "min_clearance_at": self.min_clearance or None,
             "distance_m": round(distance, 2),
             "mean_speed_mps": round(distance / span, 3) if span > 0 else 0.0,
-            "max_abs_accel_lon": _peak(a),
-            "max_abs_accel_lat": _peak(lateral),
-            "max_abs_jerk": _peak(jerk),
-            "p95_abs_jerk": round(float(np.percentile(np.abs(jerk), 95)), 3) if len(jerk) else 0.0,
+            **on_grid.peaks(),
             "reached_goal": self.goal_t is not None,
             "goal_t": None if self.goal_t is None else round(self.goal_t, 3),
         }
-        return {"ego": ego, "interventions": self._interventions(t, v)}
-
-    def _on_grid(self) -> tuple[F64, F64, F64]:
-        """Times [s], driven speed [m/s] and lateral acceleration [m/s²] every 50 ms."""
-        if len(self._t) < 2:
-            return np.zeros(0), np.zeros(0), np.zeros(0)
-        times = np.array(self._t)
-        t = np.arange(times[0], times[-1] + 1e-9, GRID_S)
-        v = np.interp(t, times, [e.speed for e in self._ego])
-        lateral = np.interp(t, times, [e.speed * e.yaw_rate for e in self._ego])
-        return t, v, np.convolve(lateral, np.ones(5) / 5, mode="valid") if len(lateral) >= 5 else lateral
-
-    def _interventions(self, t: F64, v: F64) -> list[dict[str, Any]]:
-        return [self._explained(t, v, *episode) for episode in slow_downs(t, v)]
-
-    def _explained(self, t: F64, v: F64, i0: int, i1: int) -> dict[str, Any]:
-        """The reason in force while most of the speed was lost."""
-        lost: dict[tuple[str, int | None, str | None], float] = {}
-        first: dict[tuple[str, int | None, str | None], _Reason] = {}
-        times = np.array(self._t)
-        for i in range(i0, i1):
-            reason = self._reasons[int(np.searchsorted(times, t[i] + 1e-9, side="right")) - 1]
-            if reason is None:
-                reason = _Reason("waiting", "no plan", None, None, None)
-            key = (reason.mode, reason.source_id, reason.term)
-            lost[key] = lost.get(key, 0.0) + max(0.0, float(v[i] - v[i + 1]))
-            first.setdefault(key, reason)
-        why = first[max(lost, key=lambda k: lost[k])]
-        return {
-            "t": round(float(t[i0]), 2),
-            "kind": "stop" if v[i1] < STOP_MPS else "slow",
-            "source_id": why.source_id,
-            "term": why.term,
-            "slice_s": why.slice_s,
-            "speed_from": round(float(v[i0]), 2),
-            "speed_to": round(float(v[i1]), 2),
-            "until": round(float(t[i1]), 2),
-            "mode": why.mode,
-            "sentence": why.sentence,
-        }
-
-
-def slow_downs(t: F64, v: F64) -> list[tuple[int, int]]:
-    """First and last index of every slow-down: a drop of ≥ 1 m/s within 2 s, or coming to a stop.
-
-    It starts at the highest speed of the 2 s before the drop shows, and lasts until the speed has risen by 0.3 m/s
-    over its lowest or has not fallen for 2 s.
-    """
-    window = round(DROP_WITHIN_S / GRID_S)
-    found: list[tuple[int, int]] = []
-    start, moved = 0, False  # earliest index that may start the next one; has moved since the last stop
-    i = 0
-    while i < len(v):
-        low = max(start, i - window)
-        top = low + int(np.argmax(v[low : i + 1][::-1]))
-        top = i - (top - low)  # the last of equal maxima
-        moved = moved or v[i] > MOVING_MPS
-        stops = moved and v[i] < STOP_MPS
-        if v[top] - v[i] < DROP_MPS and not stops:
-            i += 1
-            continue
-        if stops and v[top] - v[i] < DROP_MPS:
-            top = start + int(np.flatnonzero(v[start : i + 1] >= MOVING_MPS)[-1]) if moved else top
-        end = i
-        for k in range(i, len(v)):
-            if v[k] < v[end] - 1e-3:
-                end = k
-            if v[k] > v[end] + 0.3 or k - end >= window:
-                break
-        found.append((top, end))
-        start, i = end, end + 1
-        moved = bool(v[end] > MOVING_MPS)
-    return [(a, b) for a, b in found if b > a]
-
-
-def _rates(v: F64) -> tuple[F64, F64]:
-    """Acceleration and jerk by difference quotients over 0.2 s."""
-    a = (v[4:] - v[:-4]) / (4 * GRID_S) if len(v) > 4 else np.zeros(0)
-    return a, (a[4:] - a[:-4]) / (4 * GRID_S) if len(a) > 4 else np.zeros(0)
-
-
-def _peak(values: F64) -> float:
-    return round(float(np.max(np.abs(values))), 3) if len(values) else 0.0
-
-
-def _reason(plan: Plan | None) -> _Reason | None:
-    if plan is None:
-        return None
-    d = plan.decision
-    if d is None or plan.mode != "drive":
-        return _Reason(plan.mode, plan.reason, *((d.source_id, d.term, d.slice_s) if d else (None, None, None)))
-    return _Reason(plan.mode, d.sentence, d.source_id, d.term, d.slice_s)
+        found = interventions(on_grid.t, on_grid.speed, self._t, self._reasons)
+        return {"ego": ego, "interventions": [i.as_dict() for i in found]}
 
 
 def _lane_line(scenario: Scenario, ego: Ego) -> Polyline:

@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.messages import Decision, Ego, Goal, Lane, Map, Objects, Plan, Route
-from rig.measure import GRID_S, Measure, slow_downs
+from rig.comfort import GRID_S
+from rig.interventions import slow_downs
+from rig.measure import Measure
 from rig.world import Scenario, ego_at
 
 DT = 0.02
