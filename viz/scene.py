@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 
 from common.messages import U8, Closures, Ego, Map, Objects, Plan, Prediction, Risk, Route, Stamped, Status
-from viz import decision, field, plots, road, traffic
+from viz import account, decision, field, plots, road, traffic
 from viz.canvas import Canvas
 from viz.colours import of_speed
 from viz.run_time import RunTime
@@ -65,9 +65,11 @@ class Scene:
         self._next: dict[str, int] = {}
         self._top_speed = 0.0
         self._full_scale = (0.0, 0.0)
+        self._scale: tuple[float, float, tuple[float, ...]] | None = None
         self._story = ""
         self._last_cause: tuple[str, int] | None = None
         plots.log_styles(self._canvas)
+        account.log_version(self._canvas)
         self._legend(settings.full_scale, 1.0, 10.0)
 
     # --- what stands still ---
@@ -100,17 +102,19 @@ class Scene:
 
     def ego(self, stamped: Stamped[Ego]) -> None:
         """Draw the ego."""
-        if not self._due("ego", stamped.capture_ns, self._settings.ego_hz):
-            return
         ego, before = stamped.value, self._ego
         self._time.start(stamped.capture_ns)
         self._canvas.place(ego.x, ego.y)
-        self._ego = stamped
         when = self._time.at(stamped.capture_ns)
         self._canvas.set_time(when)
+        account.log_ego(self._canvas, ego)
+        if not self._due("ego", stamped.capture_ns, self._settings.ego_hz):
+            return
+        self._ego = stamped
         traffic.log_ego(self._canvas, ego, self._trails.add(None, when.t, ego.x, ego.y))
         if before is None or (before.value.length, before.value.width) != (ego.length, ego.width):
             traffic.log_ego_body(self._canvas, ego.length, ego.width)
+            account.log_ego_size(self._canvas, ego)
         self._limit = self._limits.at(ego.x, ego.y)
         plots.log_value(self._canvas, "plot/speed/ego", ego.speed)
         plots.log_value(self._canvas, "plot/speed/limit", self._limit)
@@ -119,11 +123,13 @@ class Scene:
     def objects(self, stamped: Stamped[Objects]) -> None:
         """Draw the objects."""
         when = self._time.begin(stamped)
-        if not self._due("objects", stamped.capture_ns, self._settings.heavy_hz):
-            return
         objects = stamped.value
         if len(objects.id):
             self._canvas.place(float(objects.x[0]), float(objects.y[0]))
+        self._canvas.set_time(when)
+        account.log_objects(self._canvas, objects)
+        if not self._due("objects", stamped.capture_ns, self._settings.heavy_hz):
+            return
         ids = [int(i) for i in objects.id]
         self._trails.forget(set(ids))
         trails = [
@@ -131,7 +137,6 @@ class Scene:
         ]
         ego = None if self._ego is None else self._ego.value
         near = None if ego is None else (ego.x, ego.y, ego.heading)
-        self._canvas.set_time(when)
         traffic.log_objects(self._canvas, objects, trails, near, self._settings.labelled, self._left_out)
 
     def prediction(self, stamped: Stamped[Prediction]) -> None:
@@ -141,6 +146,7 @@ class Scene:
             _keep(self._predictions, (stamped.cause.boot, stamped.cause.seq), prediction)
         self._canvas.set_time(self._time.of(stamped))
         plots.log_value(self._canvas, "plot/latency/predictor", stamped.work_ns * 1e-6)
+        account.log_prediction(self._canvas, prediction)
         if self._due("prediction", stamped.capture_ns, self._settings.heavy_hz):
             if len(prediction.id):
                 self._canvas.place(float(prediction.x0[0]), float(prediction.y0[0]))
@@ -157,6 +163,9 @@ class Scene:
             return
         full_scale = s.full_scale * risk.e_max
         self._legend(full_scale, risk.e_max, self._top_speed)
+        if self._scale != (scale := (full_scale, risk.e_max, tuple(risk.slice_times))):
+            self._scale = scale
+            account.log_scale(self._canvas, risk, full_scale)
         levels = field.log_risk(self._canvas, risk, full_scale, s.lift if s.stack else None, s.stack_step)
         cause = ("", 0) if stamped.cause is None else (stamped.cause.boot, stamped.cause.seq)
         _keep(self._volumes, cause, Volume(stamped, levels, full_scale, self._predictions.get(cause)))
@@ -168,7 +177,8 @@ class Scene:
     def plan(self, stamped: Stamped[Plan]) -> None:
         """Draw the plan: curves and text always, lines no faster than the limit."""
         plan, s = stamped.value, self._settings
-        self._canvas.set_time(self._time.at(stamped.capture_ns))
+        when = self._time.at(stamped.capture_ns)
+        self._canvas.set_time(when)
         plots.log_value(self._canvas, "plot/speed/desired", plan.desired_speed if plan.mode == "drive" else 0.0)
         if plan.profile is not None and len(plan.profile.acceleration):
             plots.log_value(self._canvas, "plot/acceleration/planned", float(plan.profile.acceleration[0]))
@@ -179,6 +189,7 @@ class Scene:
             end_to_end = self._time.since_objects_ms(stamped.cause, stamped.received_ns)
             plots.log_value(self._canvas, "plot/latency/end_to_end", end_to_end)
         plots.log_mode(self._canvas, plan, self._changes)
+        account.log_plan(self._canvas, stamped, when.t + (stamped.received_ns - stamped.capture_ns) * 1e-9)
         if self._due("plan", stamped.received_ns, s.heavy_hz):
             self._draw(stamped)
 
@@ -217,6 +228,7 @@ class Scene:
         self._statuses[stamped.value.service] = stamped
         self._canvas.set_time(self._time.at(stamped.received_ns))
         plots.log_status(self._canvas, stamped.value, self._changes)
+        account.log_status(self._canvas, stamped.value)
         if self._due("health", stamped.received_ns, 1.0):
             plots.log_health(self._canvas, {k: v.value for k, v in self._statuses.items()})
 
