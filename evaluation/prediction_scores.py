@@ -13,13 +13,13 @@ import numpy.typing as npt
 
 from common.messages import F64, I64, ObjectClass
 from evaluation.trajectory_windows import Windows
+from services.predictor.kinematic import VEHICLES
 
 HORIZONS = (20, 40, 60)
 """Frames of 0.1 s."""
 MISS_M = 2.0
 LEVEL = (2.5, 97.5)
 """Percentiles of the intervals."""
-VEHICLES = (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS)
 CYCLES = (ObjectClass.MOTORCYCLE, ObjectClass.BICYCLE)
 
 Bool = npt.NDArray[np.bool_]

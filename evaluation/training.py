@@ -19,16 +19,17 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from common.messages import F32, F64, FRAME_S, PREDICTION_FRAMES, ObjectClass
+from common.messages import F32, F64, FRAME_S, PREDICTION_FRAMES
 from evaluation.trajectory_windows import Windows
 from services.predictor import features
+from services.predictor.kinematic import VEHICLES
 from services.predictor.leader import SPEEDS
 from services.predictor.lstm import Architecture, Network
 from services.predictor.surrounding_risk import RISK_POINTS, VELOCITY_STEPS
 
 MIRROR = np.array([2, 1, 0, 5, 4, 3, 8, 7, 6])
 """The nine points seen in a mirror."""
-LEARNED_CLASSES = (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS)
+LEARNED_CLASSES = VEHICLES
 """The class rule: networks learn from and speak for these alone."""
 
 

@@ -2,7 +2,7 @@
 
 The state is estimated from the past alone, by backward differences. With p_k the position k frames ago and τ = 0.1 s:
 
-    v = (p_0 − p_k) / (k τ)                                      mean of the last k steps
+    v = (p_0 − p_k) / (k τ)                                      mean of the last k steps, k by class
     ω = (∠(p_0 − p_5) − ∠(p_5 − p_10)) / 5τ                       turn rate, from the two halves of a second
     a = (|p_0 − p_5| − |p_5 − p_10|) / (5τ)² · φ / sin φ           acceleration along the path; φ = ω 5τ / 2
 
@@ -25,6 +25,7 @@ HALF = 5
 """Frames in each half of the second that gives turn rate and acceleration."""
 VELOCITY_LEAST = 3
 """Fewest steps of history whose mean is preferred to the velocity in the message."""
+VEHICLES = (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS)
 TURN_AROUND = 1.5
 """A course that changes by more than this between the halves is not a turn but a reversal or noise [rad]."""
 
@@ -73,8 +74,7 @@ def estimate(objects: Objects, frames: Frames, settings: KinematicSettings) -> S
         return (x0 - frames.x[rows, k]) / span, (y0 - frames.y[rows, k]) / span
 
     known = steps >= VELOCITY_LEAST
-    walks = objects.cls == ObjectClass.PEDESTRIAN
-    wanted = np.where(walks, settings.pedestrian_steps, settings.velocity_steps)
+    wanted = np.where(np.isin(objects.cls, VEHICLES), settings.velocity_steps, settings.other_steps)
     k = np.minimum(steps, wanted)
     vx, vy = velocity(k)
     vx, vy = np.where(known, vx, objects.vx), np.where(known, vy, objects.vy)

@@ -1,10 +1,9 @@
 """The learned predictor in service: samples of what stood around, one batch through the network, motion out.
 
-    p(t) = p_0 + v t + gate(|v|) · shrink(|v|) · residual(t)       residual form
-    p(t) = p_0 + v t + gate(|v|) · shrink(|v|) · (Z(t) − v t)      paper form
+    p(t) = p_0 + v t + gate(|v|) · shrink(|v|) · (Z(t) − v t)
 
-with constant velocity from the kinematic state, so that what stands stays where it is. Headings follow the course of
-the predicted positions; speeds are their steps.
+with Z from p_0 on and v, the constant velocity, from the kinematic state, so that what stands stays where it is.
+Headings follow the course of the predicted positions; speeds are their steps.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 import torch
 
 from common.geometry import wrap_angle
-from common.messages import F32, F64, FRAME_S, U8, Ego, ObjectClass, Objects, Stamped
+from common.messages import F32, F64, FRAME_S, PREDICTION_FRAMES, U8, Ego, ObjectClass, Objects, Stamped
 from common.risk import RiskParameters
 from services.predictor import features, signals
 from services.predictor.history import Bool, Frames
@@ -99,12 +98,10 @@ def motion_of(loaded: Loaded, x: F64, y: F64, cls: U8, length: F64, around: F32,
     context = features.context(cls, length, velocity)
     with torch.inference_mode():
         z = loaded.network(torch.from_numpy(inputs), torch.from_numpy(context)).numpy().astype(np.float64)
-    turned = frame.turned_out(z)
-    px, py = state.x[:, None], state.y[:, None]
-    if plain:
-        dx, dy = turned[..., 0] + px - straight.x, turned[..., 1] + py - straight.y
-    else:
-        dx, dy = turned[..., 0], turned[..., 1]
+    if not plain:
+        z += velocity[:, None] * (FRAME_S * np.arange(1, PREDICTION_FRAMES + 1))[:, None]
+    ahead = frame.turned_out(z)
+    dx, dy = ahead[..., 0] + state.x[:, None] - straight.x, ahead[..., 1] + state.y[:, None] - straight.y
     return along(straight.x + share * dx, straight.y + share * dy, state)
 
 

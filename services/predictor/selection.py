@@ -20,10 +20,10 @@ import numpy as np
 
 from common.messages import HISTORY_FRAMES, U8, Ego, Method, ObjectClass, Objects, Stamped
 from services.predictor.history import Bool, Frames
-from services.predictor.kinematic import Motion, State
+from services.predictor.kinematic import VEHICLES, Motion, State
 from services.predictor.settings import Policy
 
-DRIVES_ON_LANES: Bool = np.isin(np.arange(len(ObjectClass)), (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.BUS))
+DRIVES_ON_LANES: Bool = np.isin(np.arange(len(ObjectClass)), VEHICLES)
 """By class: who is predicted along lanes. Two-wheelers leave theirs too readily: kinematic measured better for them."""
 
 

@@ -37,9 +37,9 @@ class KinematicSettings(Settings, frozen=True, kw_only=True):
     """Constant velocity, and constant turn rate and acceleration."""
 
     velocity_steps: Annotated[int, Meta(ge=3, le=10)] = 3
-    """The current velocity is the mean of so many backward steps of 0.1 s."""
-    pedestrian_steps: Annotated[int, Meta(ge=3, le=10)] = 5
-    """The same for pedestrians."""
+    """The current velocity of cars, trucks and buses is the mean of so many backward steps of 0.1 s."""
+    other_steps: Annotated[int, Meta(ge=3, le=10)] = 5
+    """The same for all others; no data that may choose it holds any of them, so it is the yardstick's."""
     standing_mps: Positive = 0.2
     """Mean speed over the last second up to which an object stands; its velocity fades in up to twice this [m/s]."""
     turn_from_mps: Positive = 1.0

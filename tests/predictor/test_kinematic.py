@@ -31,6 +31,24 @@ def test_constant_velocity_is_predicted_exactly(v, heading, origin, cls):
     np.testing.assert_allclose([p.vx0[0], p.vy0[0]], [v * np.cos(heading), v * np.sin(heading)], atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("cls", "steps"),
+    [(ObjectClass.CAR, 3), (ObjectClass.BICYCLE, 5), (ObjectClass.MOTORCYCLE, 5), (ObjectClass.PEDESTRIAN, 5),
+     (ObjectClass.UNKNOWN, 5)],
+)  # fmt: skip
+def test_who_is_in_no_data_that_could_choose_moves_as_the_yardstick_says(cls, steps):
+    """Position noise in the last half second: the velocity is the mean of five steps, of vehicles three."""
+    noise = {0: 0.05, 1: -0.03, 2: 0.04, 3: -0.06, 4: 0.01, 5: -0.04}
+
+    def path(t):
+        return 3.0 * t + noise.get(round(-t / 0.1), 0.0), 0.0, 0.0, 3.0
+
+    p = drive([path], cls=cls)
+    v = 3.0 + (noise[0] - noise[steps]) / (0.1 * steps)
+    assert p.method[0] == Method.CONSTANT_VELOCITY
+    np.testing.assert_allclose(p.x[0], noise[0] + v * T, atol=1e-5)
+
+
 @given(v=st.floats(2.5, 25.0), radius=st.floats(6.0, 200.0), left=st.booleans(), heading=ANGLE, origin=UTM)
 @settings(max_examples=40, deadline=None)
 def test_a_circle_is_predicted_exactly_while_the_turn_rate_is_held(v, radius, left, heading, origin):
