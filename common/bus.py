@@ -10,18 +10,21 @@ from __future__ import annotations
 import json
 import logging
 import math
+import os
 import secrets
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
-from common import codec
+from common import access, codec
 from common.age import TransitClock
 from common.clock import Clock, monotonic
 from common.codec import RefusedError
@@ -41,6 +44,29 @@ class NoRouterError(Exception):
     """The router was not reached before the caller stopped waiting."""
 
 
+class TlsSettings(Settings, frozen=True):
+    """Section `[bus.tls]`: who we are, and whom we believe. All three or none; the router's name is always checked."""
+
+    ca: str = ""
+    """Certificate of the authority that signed everyone's (PEM file)."""
+    certificate: str = ""
+    """Our own certificate (PEM file)."""
+    key: str = ""
+    """Its private key (PEM file)."""
+
+    @staticmethod
+    def of(folder: Path) -> TlsSettings:
+        """What `forefield certs` put into one process' folder."""
+        return TlsSettings(
+            ca=str(folder / "ca.pem"), certificate=str(folder / "certificate.pem"), key=str(folder / "key.pem")
+        )
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anything is set."""
+        return bool(self.ca or self.certificate or self.key)
+
+
 class BusSettings(Settings, frozen=True):
     """Section `[bus]`."""
 
@@ -52,10 +78,11 @@ class BusSettings(Settings, frozen=True):
     """Zenoh's shared memory; drops silently when a receiver stalls, so it is off unless asked for."""
     lease_ms: int = 500
     """A peer silent for this long is gone [ms]."""
+    tls: TlsSettings = TlsSettings()
 
 
 def _built_in(mode: str, settings: BusSettings) -> dict[str, Any]:
-    return {
+    config: dict[str, Any] = {
         "mode": mode,
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "timestamping": {"enabled": True},
@@ -69,6 +96,45 @@ def _built_in(mode: str, settings: BusSettings) -> dict[str, Any]:
             "shared_memory": {"enabled": settings.shared_memory},
         },
     }
+    if settings.tls.wanted:
+        config["transport"]["link"] |= {"protocols": ["tls"], "tls": _tls(settings.tls)}
+    return config
+
+
+def _tls(tls: TlsSettings) -> dict[str, Any]:
+    for name in ("ca", "certificate", "key"):
+        path = Path(getattr(tls, name))
+        if not getattr(tls, name):
+            raise ConfigError(f"bus.tls.{name} is missing: bus.tls needs ca, certificate and key (`forefield certs`)")
+        if not path.is_file():
+            raise ConfigError(f"bus.tls.{name}: {path}: no such file; `forefield certs` makes a bench's")
+        if not os.access(path, os.R_OK):
+            raise ConfigError(f"bus.tls.{name}: {path}: not readable by this user (uid {os.getuid()})")
+    return {
+        "root_ca_certificate": tls.ca,
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+        **dict.fromkeys(("listen_certificate", "connect_certificate"), tls.certificate),
+        **dict.fromkeys(("listen_private_key", "connect_private_key"), tls.key),
+    }
+
+
+def _checked(endpoints: Iterable[str], settings: BusSettings) -> list[str]:
+    """Endpoints, none of which may bypass TLS once it is asked for.
+
+    Raises:
+        ConfigError: with `[bus.tls]` an endpoint is not `tls/…`, or without it one is.
+    """
+    found = list(endpoints)
+    for endpoint in found:
+        if endpoint.startswith("tls/") != settings.tls.wanted:
+            raise ConfigError(
+                f"bus: {endpoint}: with bus.tls every endpoint begins with tls/"
+                if settings.tls.wanted
+                else f"bus: {endpoint}: a tls/ endpoint needs bus.tls.ca, bus.tls.certificate and bus.tls.key"
+            )
+    return found
 
 
 def _client(settings: BusSettings) -> zenoh.Config:
@@ -84,7 +150,7 @@ def _client(settings: BusSettings) -> zenoh.Config:
     retry = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5}
     # one attempt is short, because a blocked `zenoh.open` hears no SIGTERM; `_connect` repeats it
     config["connect"] = {
-        "endpoints": list(settings.connect),
+        "endpoints": _checked(settings.connect, settings),
         "timeout_ms": ATTEMPT_MS,
         "exit_on_failure": True,
         "retry": retry,
@@ -93,10 +159,10 @@ def _client(settings: BusSettings) -> zenoh.Config:
 
 
 class Inbox:
-    """The newest message of one topic. Made by `Bus.inbox`; used by one thread."""
+    """The newest message of one topic, or the newest few in order. Made by `Bus.inbox`; used by one thread."""
 
     def __init__(
-        self, topic: Topic, health: Health, clock: Clock, wake: threading.Event, transit: TransitClock
+        self, topic: Topic, health: Health, clock: Clock, wake: threading.Event, transit: TransitClock, keep: int = 1
     ) -> None:
         self.topic = topic
         self.latest: Stamped[Any] | None = None
@@ -107,24 +173,30 @@ class Inbox:
         self._transit = transit
         self._order = Order()
         self._lock = threading.Lock()
-        self._slot: tuple[zenoh.Sample, int] | None = None
+        self._slots: deque[tuple[zenoh.Sample, int]] = deque(maxlen=keep)
 
     def arrive(self, sample: zenoh.Sample) -> None:
-        """Swap the slot; called from a Zenoh thread."""
+        """Put it in a slot, the oldest's if none is free; called from a Zenoh thread."""
         now = self._clock()
         with self._lock:
-            overwritten, self._slot = self._slot is not None, (sample, now)
+            overwritten = len(self._slots) == self._slots.maxlen
+            self._slots.append((sample, now))
             self._monitor.arrived(now)
         if overwritten:
             self._health.count(f"{self.topic.suffix}:overwritten")
         self._wake.set()
 
+    @property
+    def waiting(self) -> int:
+        """How many messages are kept that were not taken yet."""
+        return len(self._slots)
+
     def take(self) -> Stamped[Any] | None:
-        """The newest message that was not taken yet; None if there is none or it is refused (and counted)."""
+        """The oldest message kept that was not taken yet; None if there is none or it is refused (and counted)."""
         with self._lock:
-            slot, self._slot = self._slot, None
-        if slot is None:
-            return None
+            if not self._slots:
+                return None
+            slot = self._slots.popleft()
         try:
             self.latest = self._read(*slot)
         except RefusedError as e:
@@ -155,8 +227,10 @@ class Inbox:
         age_ns = header.age_ns + self._transit.excess_ns(header.source, header.boot, header.sent_ns, received_ns)
         capture_ns = received_ns - age_ns
         limit = self.topic.max_age_s
-        if limit is not None and not (self._clock() - capture_ns) * 1e-9 <= limit:
-            raise RefusedError("stale", f"{(self._clock() - capture_ns) * 1e-6:.0f} ms, at most {limit * 1e3:.0f} ms")
+        # who keeps several wants each as it came; who keeps one wants it now
+        now = self._clock() if self._slots.maxlen == 1 else received_ns
+        if limit is not None and not (now - capture_ns) * 1e-9 <= limit:
+            raise RefusedError("stale", f"{(now - capture_ns) * 1e-6:.0f} ms, at most {limit * 1e3:.0f} ms")
         message = codec.decode_body(self.topic, header, sample.payload.to_bytes())
         self._order.accept(header)
         return Stamped(
@@ -235,9 +309,9 @@ class Bus:
         """`topic:reason` → how many messages were not used."""
         return dict(self.health.counters)
 
-    def inbox(self, topic: Topic) -> Inbox:
-        """Subscribe to a topic, keeping only its newest message."""
-        inbox = Inbox(topic, self.health, self._clock, self._wake, self._transit)
+    def inbox(self, topic: Topic, *, keep: int = 1) -> Inbox:
+        """Subscribe to a topic, keeping only its newest message; `keep` > 1, for who records: so many, in order."""
+        inbox = Inbox(topic, self.health, self._clock, self._wake, self._transit, keep)
         k = key(self.vehicle, topic)
         if topic.delivery is Delivery.LATCHED:
             history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
@@ -368,21 +442,51 @@ def free_port() -> int:
         return int(s.getsockname()[1])
 
 
+@dataclass(frozen=True)
+class Secured:
+    """What a secured router lets in: processes and routers known by name, each on its own topics alone."""
+
+    vehicles: tuple[str, ...]
+    """Vehicles that it serves."""
+    routers: tuple[str, ...] = ()
+    """Names of other routers that may pass on what these vehicles say."""
+
+
 @contextmanager
-def router(port: int = 0, *, listen: str = "", settings: BusSettings | None = None) -> Iterator[str]:
+def router(
+    port: int = 0,
+    *,
+    listen: str = "",
+    settings: BusSettings | None = None,
+    secured: Secured | None = None,
+    upstream: Sequence[str] = (),
+) -> Iterator[str]:
     """Run a Zenoh router in this process; yields its endpoint.
 
     Args:
         port: TCP port on loopback; 0: a free one.
         listen: a whole endpoint instead, such as `tcp/0.0.0.0:7447`.
-        settings: lease and shared memory.
+        settings: lease, shared memory, TLS.
+        secured: mutual TLS with `settings.tls`, everything denied that `common.access` does not allow.
+        upstream: endpoints of other routers to join, such as the one at the edge; they may come and go.
 
     Raises:
-        ConfigError: the endpoint cannot be listened on.
+        ConfigError: the endpoint cannot be listened on, TLS or a name cannot be used.
     """
-    endpoint = listen or f"tcp/127.0.0.1:{port or free_port()}"
-    config = _built_in("router", settings or BusSettings())
-    config["listen"] = {"endpoints": [endpoint]}
+    settings = settings or BusSettings()
+    protocol = "tls" if settings.tls.wanted else "tcp"
+    endpoint = listen or f"{protocol}/127.0.0.1:{port or free_port()}"
+    config = _built_in("router", settings)
+    config["listen"] = {"endpoints": _checked([endpoint], settings)}
+    config["connect"] = {"endpoints": _checked(upstream, settings), "timeout_ms": -1, "exit_on_failure": False}
+    if secured is not None:
+        if not settings.tls.wanted:
+            raise ConfigError("a secured router needs bus.tls: names are told from certificates")
+        try:
+            config["access_control"] = access.access_control(secured.vehicles, secured.routers)
+            config["low_pass_filter"] = access.size_limits(secured.vehicles)
+        except ValueError as e:
+            raise ConfigError(str(e)) from None
     try:
         session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as e:

@@ -1,7 +1,7 @@
 """How a drive felt: speed on one grid of time, acceleration and jerk as difference quotients over 0.2 s.
 
-Longitudinal acceleration is the driven speed's difference quotient over 0.2 s, jerk that of the acceleration over another
-0.2 s (support 0.4 s, so that the integration step does not show); lateral acceleration is speed · yaw rate,
+Longitudinal acceleration is the driven speed's difference quotient over 0.2 s, jerk that of the acceleration over
+another 0.2 s (support 0.4 s, so that the integration step does not show); lateral acceleration is speed · yaw rate,
 averaged over 0.2 s.
 """
 

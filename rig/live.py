@@ -185,6 +185,7 @@ class LiveRun:
     def _note(self, k: int, t: float, due_ns: int, dt: float) -> None:
         result = self.result
         result.duration_s = t
+        self.bus.health.detail["run_s"] = f"{t:.3f}"  # who records can tell when the run began
         result.late_ms.append((time.monotonic_ns() - due_ns) * 1e-6)
         plan = self._value()
         mode = "waiting" if plan is None else plan.mode

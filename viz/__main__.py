@@ -22,12 +22,16 @@ from common.process import Ending, ServiceSettings, reporting
 from viz.blueprint import blueprint
 from viz.scene import Scene
 from viz.settings import VizSettings
-from viz.sinks import SinkError, log_about, recording
+from viz.sinks import Recorder, SinkError, recording
 
 log = logging.getLogger("forefield")
 
+END_S = 12.0
+"""After SIGTERM viz is gone this much later at the latest [s]: a long recording has a long footer to write."""
 TURN_S = 0.25
 """Longest wait before a look at who has fallen silent [s]."""
+EVERY = 100
+"""What was driven and why is kept whole: so many of `ego` and `plan` may wait while a volume is drawn."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -57,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def run(tree: Tree, service: ServiceSettings, settings: VizSettings) -> int:
     """Open the bus and the recording, draw until told to stop."""
-    ending = Ending()
+    ending = Ending(END_S)
     health = Health("viz", monotonic)
     bus_settings = config.section(tree, "bus", BusSettings)
     with open_bus(bus_settings, config.vehicle(tree), "viz", health=health, stop=ending.stop) as bus:
@@ -65,24 +69,23 @@ def run(tree: Tree, service: ServiceSettings, settings: VizSettings) -> int:
         bus.liveliness("viz")
         with (
             reporting(health, bus.publisher(topics.STATUS_OF["viz"]), service),
-            recording(settings, settings.scenario, blueprint()) as rec,
+            recording(settings, settings.scenario, blueprint(), tree) as recorder,
         ):
-            log_about(rec, settings.scenario, tree, settings)
-            _draw(bus, health, Scene(rec, settings), ending.stop)
+            _draw(bus, health, Scene(recorder, settings), ending.stop, recorder)
     return 0
 
 
-def _draw(bus: Bus, health: Health, scene: Scene, stop: threading.Event) -> None:
+def _draw(bus: Bus, health: Health, scene: Scene, stop: threading.Event, recorder: Recorder | None = None) -> None:
     # in the order in which one message needs another: objects begin a frame, a plan looks for its volume
     order: list[tuple[Inbox, Callable[[Stamped[Any]], None]]] = [
         (bus.inbox(topics.MAP), scene.map),
         (bus.inbox(topics.ROUTE), scene.route),
         (bus.inbox(topics.CLOSURES), scene.closures),
-        (bus.inbox(topics.EGO), scene.ego),
+        (bus.inbox(topics.EGO, keep=EVERY), scene.ego),
         (bus.inbox(topics.OBJECTS), scene.objects),
         (bus.inbox(topics.PREDICTION), scene.prediction),
         (bus.inbox(topics.RISK), scene.risk),
-        (bus.inbox(topics.PLAN), scene.plan),
+        (bus.inbox(topics.PLAN, keep=EVERY), scene.plan),
         *((bus.inbox(topic), scene.status) for name, topic in topics.STATUS_OF.items() if name != "viz"),
     ]
     health.say("ready", "drawing")
@@ -90,16 +93,31 @@ def _draw(bus: Bus, health: Health, scene: Scene, stop: threading.Event) -> None
         bus.wait(TURN_S)
         health.turned()
         for inbox, draw in order:
-            stamped = inbox.take()
-            if stamped is None:
-                continue
-            try:
-                draw(stamped)
-            except Exception as e:
-                health.count(f"{inbox.topic.suffix}:draw_{type(e).__name__}")
-                health.detail["last_error"] = f"{inbox.topic.suffix}: {type(e).__name__}: {e}"
-                log.exception("%s not drawn", inbox.topic.suffix)
+            for _ in range(inbox.waiting):
+                stamped = inbox.take()
+                if stamped is None:
+                    continue
+                try:
+                    draw(stamped)
+                except Exception as e:
+                    health.count(f"{inbox.topic.suffix}:draw_{type(e).__name__}")
+                    health.detail["last_error"] = f"{inbox.topic.suffix}: {type(e).__name__}: {e}"
+                    log.exception("%s not drawn", inbox.topic.suffix)
         scene.silence(monotonic())
+        if recorder is not None:
+            recorder.tend()
+            _tell(health, recorder)
+
+
+def _tell(health: Health, recorder: Recorder) -> None:
+    trouble = recorder.trouble
+    if health.say("degraded" if trouble else "ready", trouble or "drawing") and trouble:
+        log.warning("%s", trouble)
+    for name, dropped in recorder.dropped.items():
+        new = dropped - health.counters[f"{name}:rows_dropped"]
+        if new:
+            health.count(f"{name}:rows_dropped", new)
+    health.detail.update(recorder.detail)
 
 
 if __name__ == "__main__":

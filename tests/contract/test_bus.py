@@ -77,6 +77,35 @@ def test_an_inbox_keeps_the_newest_and_counts_what_it_overwrites(pair: tuple[Bus
     assert receiver.counters == {"ego:overwritten": 49}
 
 
+def test_an_inbox_that_keeps_several_gives_them_in_order_and_loses_the_oldest(pair: tuple[Bus, Bus]) -> None:
+    sender, receiver = pair
+    inbox, publisher = receiver.inbox(topics.EGO, keep=8), sender.publisher(topics.EGO)
+    matched(publisher)
+    for i in range(20):
+        publisher.put(samples.ego(x=float(i)), capture_ns=monotonic())
+    received(inbox, 20)
+    assert inbox.waiting == 8
+    taken = [inbox.take() for _ in range(8)]
+    assert [s.value.x for s in taken if s is not None] == [float(i) for i in range(12, 20)]
+    assert inbox.waiting == 0 and inbox.take() is None
+    assert receiver.counters == {"ego:overwritten": 12}
+
+
+def test_what_was_kept_is_as_old_as_when_it_came(pair: tuple[Bus, Bus], endpoint: str) -> None:
+    now = monotonic()
+    ahead = [now]
+    settings = BusSettings(connect=(endpoint,))
+    sender, _ = pair
+    with open_bus(settings, "test", "recorder", clock=lambda: ahead[0]) as recorder:
+        one, several = recorder.inbox(topics.EGO), recorder.inbox(topics.EGO, keep=8)
+        publisher = sender.publisher(topics.EGO)
+        matched(publisher)
+        until(lambda: publisher.put(samples.ego(), capture_ns=monotonic()) and one.waiting and several.waiting)
+        ahead[0] += 10_000 * MS
+        assert one.take() is None, "whoever keeps one wants it now"
+        assert several.take() is not None
+
+
 @pytest.mark.parametrize("late", ["subscriber", "publisher"])
 def test_the_map_reaches_whoever_comes_late(endpoint: str, late: str) -> None:
     settings = BusSettings(connect=(endpoint,))
