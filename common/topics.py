@@ -1,7 +1,7 @@
-"""The one table of topics: who says what, how often, how large, how old it may be.
+"""The one table of topics: who says what to whom, how often, how large, how old it may be.
 
 Key on the bus: `forefield/{vehicle}/{suffix}`. Everything that must agree about a topic (codec,
-bus, health, viz, rig, tests) reads it here and nowhere else.
+bus, health, access control, viz, rig, tests) reads it here and nowhere else.
 """
 
 from __future__ import annotations
@@ -55,6 +55,10 @@ class Topic:
     """Largest header [bytes]."""
     delivery: Delivery
     priority: Priority
+    writer: str
+    """Who alone may send it: a service, or the `vehicle`."""
+    readers: frozenset[str]
+    """Who may hear it."""
     wait: bool = False
     """Latched topics wait for room (BLOCK), the others drop."""
 
@@ -71,23 +75,42 @@ def _latest(
     age: float | None,
     size: int,
     priority: Priority,
+    flow: tuple[str, str],
     header: int = 4 * KIB,
 ) -> Topic:
-    return Topic(name, name, message, rate, age, size, header, Delivery.LATEST, priority)
+    writer, readers = flow
+    return Topic(name, name, message, rate, age, size, header, Delivery.LATEST, priority, writer, _names(readers))
 
 
-def _latched(name: str, message: type, size: int) -> Topic:
-    return Topic(name, name, message, None, None, size, 4 * KIB, Delivery.LATCHED, Priority.DATA_HIGH, True)
+def _latched(name: str, message: type, size: int, readers: str) -> Topic:
+    return Topic(
+        name, name, message, None, None, size, 4 * KIB, Delivery.LATCHED, Priority.DATA_HIGH, "vehicle",
+        _names(readers), True,
+    )  # fmt: skip
 
 
-EGO = _latest("ego", messages.Ego, (10.0, 100.0), 0.2, 4 * KIB, Priority.REAL_TIME)
-OBJECTS = _latest("objects", messages.Objects, (8.0, 12.0), 0.3, 512 * KIB, Priority.INTERACTIVE_HIGH)
-MAP = _latched("map", messages.Map, 64 * MIB)
-ROUTE = _latched("route", messages.Route, 4 * MIB)
-CLOSURES = _latched("closures", messages.Closures, 64 * KIB)
-PREDICTION = _latest("prediction", messages.Prediction, (8.0, 12.0), 0.3, 4 * MIB, Priority.INTERACTIVE_HIGH)
-RISK = _latest("risk", messages.Risk, (8.0, 12.0), 0.3, 64 * MIB, Priority.INTERACTIVE_HIGH, 8 * KIB)
-PLAN = _latest("plan", messages.Plan, (18.0, 22.0), 0.3, 4 * MIB, Priority.REAL_TIME)
+def _names(names: str) -> frozenset[str]:
+    return frozenset(names.split())
+
+
+EGO = _latest(
+    "ego", messages.Ego, (10.0, 100.0), 0.2, 4 * KIB, Priority.REAL_TIME,
+    ("vehicle", "predictor riskfield planner viz"),
+)  # fmt: skip
+OBJECTS = _latest(
+    "objects", messages.Objects, (8.0, 12.0), 0.3, 512 * KIB, Priority.INTERACTIVE_HIGH, ("vehicle", "predictor viz")
+)
+MAP = _latched("map", messages.Map, 64 * MIB, "predictor riskfield planner viz")
+ROUTE = _latched("route", messages.Route, 4 * MIB, "predictor riskfield planner viz")
+CLOSURES = _latched("closures", messages.Closures, 64 * KIB, "riskfield viz")
+PREDICTION = _latest(
+    "prediction", messages.Prediction, (8.0, 12.0), 0.3, 4 * MIB, Priority.INTERACTIVE_HIGH,
+    ("predictor", "riskfield viz"),
+)  # fmt: skip
+RISK = _latest(
+    "risk", messages.Risk, (8.0, 12.0), 0.3, 64 * MIB, Priority.INTERACTIVE_HIGH, ("riskfield", "planner viz"), 8 * KIB
+)
+PLAN = _latest("plan", messages.Plan, (18.0, 22.0), 0.3, 4 * MIB, Priority.REAL_TIME, ("planner", "vehicle viz"))
 STATUS_OF = {
     service: Topic(
         "status",
@@ -99,6 +122,8 @@ STATUS_OF = {
         4 * KIB,
         Delivery.LATEST,
         Priority.BACKGROUND,
+        service,
+        _names("vehicle viz"),
     )
     for service in ("predictor", "riskfield", "planner", "viz", "vehicle")
 }
