@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,10 @@ PLAIN_STEPS = 5
 """`constant_velocity` is the mean of so many steps; `constant_velocity_gated` is the service's own."""
 
 
+def unseen(what: str, done: int, whole: int) -> None:
+    """Tell nobody."""
+
+
 @dataclass(frozen=True)
 class Case:
     """Windows of one file, and its map if there is one."""
@@ -54,17 +59,36 @@ class Case:
     map: Map | None
 
 
-def track_cases(files: Sequence[Path], risk: RiskParameters, stride: int) -> list[Case]:
-    """Windows of trajectory tables."""
-    return [Case(windows(recordings(f), risk, stride=stride), None) for f in files]
+def track_cases(
+    files: Sequence[Path], risk: RiskParameters, stride: int, progress: Callable[[str, int, int], None] = unseen
+) -> list[Case]:
+    """Windows of trajectory tables; all are read before the first is worked on.
+
+    `progress` gets what is being done, how much of it is done, and how much there is.
+    """
+    found = []
+    for k, f in enumerate(files):
+        progress("read", k, len(files))
+        found.append(recordings(f))
+    return [
+        Case(windows(r, risk, stride=stride, progress=partial(progress, f"windows of {f.name}")), None)
+        for f, r in zip(files, found, strict=True)
+    ]
 
 
-def scenario_cases(files: Sequence[str], risk: RiskParameters, settings: RigSettings, stride: int) -> list[Case]:
+def scenario_cases(
+    files: Sequence[str],
+    risk: RiskParameters,
+    settings: RigSettings,
+    stride: int,
+    progress: Callable[[str, int, int], None] = unseen,
+) -> list[Case]:
     """Windows of scenarios with their maps; the recorded driver in the ego's place is one of the objects."""
     cases = []
-    for f in files:
+    for k, f in enumerate(files):
         world = load_scenario(f, settings=settings)
         cases.append(Case(windows([as_recording(world)], risk, stride=stride), world.map))
+        progress("windows of scenarios", k + 1, len(files))
     return cases
 
 
@@ -208,7 +232,7 @@ def evaluate(
     settings: PredictorSettings,
     *,
     repeats: int = 1000,
-    progress: Callable[[int, int], None] = lambda *_: None,
+    progress: Callable[[str, int, int], None] = unseen,
 ) -> dict[str, Any]:
     """Scores of every method, pooled, by site and by recording: the JSON of the command."""
     torch.set_num_threads(1)
@@ -217,7 +241,7 @@ def evaluate(
         if len(case.data):
             positions = predictions(case, models, settings)
             found.append((case.data, {m: scoring.errors(p, case.data) for m, p in positions.items()}))
-        progress(k + 1, len(cases))
+        progress("predictions", k + 1, len(cases))
     if not found:
         raise ValueError("no window of 30 frames of history and 60 of future")
     methods = [m for m in found[0][1] if all(m in e for _, e in found)]
@@ -235,8 +259,17 @@ def evaluate(
         "policy_default": settings.policy,
         "results": _results(error, data, np.ones(len(data), dtype=bool), repeats),
         "sites": {s: _results(error, data, site == s, repeats) for s in sites},
-        "per_recording": {data.names[i]: _results(error, data, data.recording == i, min(repeats, 200)) for i in used},
+        "per_recording": {
+            name: _results(error, data, data.recording == i, min(repeats, 200))
+            for i, name in zip(used, _distinct(data, used), strict=True)
+        },
     }
+
+
+def _distinct(data: Windows, used: Sequence[int]) -> list[str]:
+    """Names of recordings, with their site where two sites have the same."""
+    names = [data.names[i] for i in used]
+    return [f"{data.sites[i]}/{n}" if names.count(n) > 1 else n for i, n in zip(used, names, strict=True)]
 
 
 def _results(error: Mapping[str, F64], data: Windows, rows: scoring.Bool, repeats: int) -> dict[str, Any]:
@@ -245,9 +278,8 @@ def _results(error: Mapping[str, F64], data: Windows, rows: scoring.Bool, repeat
     reference = error["constant_velocity"][rows]
     return {
         method: {
-            name: score
+            name: scoring.scores(e[rows], reference, chosen, members, repeats=repeats)
             for name, members in groups.items()
-            if (score := scoring.scores(e[rows], reference, chosen, members, repeats=repeats)) is not None
         }
         for method, e in error.items()
     }
@@ -256,8 +288,7 @@ def _results(error: Mapping[str, F64], data: Windows, rows: scoring.Bool, repeat
 def table(result: Mapping[str, Any], group: str = "vehicle_moving", site: str = "") -> Table:
     """ADE and FDE of every method in one group, with the ratio to constant velocity at 6 s."""
     results = result["sites"][site] if site else result["results"]
-    some = next(iter(results.values())).get(group)
-    n = some["60"]["n"] if some else 0
+    n = next(iter(results.values()))[group]["60"]["n"]
     out = Table(title=f"{group}, {site or 'pooled'}: {n} windows")
     out.add_column("method", no_wrap=True)
     for t in ("2 s", "4 s", "6 s"):
@@ -265,10 +296,8 @@ def table(result: Mapping[str, Any], group: str = "vehicle_moving", site: str = 
     out.add_column("ratio 6 s", justify="right", no_wrap=True)
     out.add_column("95 % (FDE)", justify="right", no_wrap=True)
     out.add_column("miss", justify="right")
-    for method, groups in results.items():
-        score = groups.get(group)
-        if score is None:
-            continue
+    for method, groups in results.items() if n else ():
+        score = groups[group]
         last = score["60"]
         cells = [f"{score[str(k)]['ade']:.2f}/{score[str(k)]['fde']:.2f}" for k in scoring.HORIZONS]
         ratio = f"{last['ade_ratio']:.3f}/{last['fde_ratio']:.3f}" if last["ade_ratio"] is not None else ""
@@ -288,7 +317,7 @@ def plot(result: Mapping[str, Any], path: Path, group: str = "vehicle_moving") -
     figure, axes = plt.subplots(1, len(panels), figsize=(3.4 * len(panels) + 1.5, 3.6), squeeze=False, sharey=True)
     for axis, (name, results) in zip(axes[0], panels.items(), strict=True):
         for method, groups in results.items():
-            if group in groups and groups[group]["60"]["fde_ratio"] is not None:
+            if groups[group]["60"]["fde_ratio"] is not None:
                 ratios = [groups[group][str(k)]["fde_ratio"] for k in scoring.HORIZONS]
                 axis.plot([k / 10 for k in scoring.HORIZONS], ratios, marker="o", ms=3, label=method)
         axis.set_title(name, fontsize=9)

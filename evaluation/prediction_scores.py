@@ -18,6 +18,18 @@ from services.predictor.kinematic import VEHICLES
 HORIZONS = (20, 40, 60)
 """Frames of 0.1 s."""
 MISS_M = 2.0
+FIGURES = (
+    "ade",
+    "fde",
+    "miss",
+    "resampled_by",
+    "ade_ci",
+    "ade_ratio",
+    "ade_ratio_ci",
+    "fde_ci",
+    "fde_ratio",
+    "fde_ratio_ci",
+)
 LEVEL = (2.5, 97.5)
 """Percentiles of the intervals."""
 CYCLES = (ObjectClass.MOTORCYCLE, ObjectClass.BICYCLE)
@@ -58,11 +70,14 @@ def resampled(units: I64, repeats: int, seed: int) -> F64:
 
 def scores(
     error: F64, reference: F64, data: Windows, rows: Bool, *, repeats: int = 1000, seed: int = 0
-) -> dict[str, Score] | None:
-    """Scores of the windows `rows`, by horizon; `reference`: constant velocity's errors, for paired ratios."""
+) -> dict[str, Score]:
+    """Scores of the windows `rows`, by horizon; `reference`: constant velocity's errors, for paired ratios.
+
+    Without a window `n` is 0 and every figure None.
+    """
     chosen = np.flatnonzero(rows)
     if not len(chosen):
-        return None
+        return {str(k): {**dict.fromkeys(FIGURES), "n": 0, "recordings": 0} for k in HORIZONS}
     units = data.recording[chosen]
     by = "recording"
     if len(np.unique(units)) < 2:

@@ -12,6 +12,7 @@ import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import torch
 from common.messages import PREDICTION_FRAMES
 from common.risk import RiskParameters
 from evaluation import prediction_scores as scoring
-from evaluation.eval_prediction import as_service
+from evaluation.eval_prediction import as_service, unseen
 from evaluation.ridge import Ridge
 from evaluation.training import LEARNED_CLASSES, Fitted, Options, Pool, augmented, fit, learnable
 from evaluation.trajectory_windows import Recording, Windows, joined, recordings, windows
@@ -81,8 +82,14 @@ class Data:
     validation: Windows
 
 
-def read(files: Sequence[Path], hold_out: Sequence[str], risk: RiskParameters, stride: int) -> Data:
-    """Read tables and split them by site, or by recording.
+def read(
+    files: Sequence[Path],
+    hold_out: Sequence[str],
+    risk: RiskParameters,
+    stride: int,
+    progress: Callable[[str, int, int], None] = unseen,
+) -> Data:
+    """Read tables and split them by site, or by recording; `progress` gets what is done, how far, of how much.
 
     Raises:
         ScenarioError: a table cannot be used.
@@ -97,10 +104,15 @@ def read(files: Sequence[Path], hold_out: Sequence[str], risk: RiskParameters, s
     kept = [r for r in found if r not in held]
     recorded = [r for r in kept if not r.name.startswith(GENERATED)]
     generated = [r for r in kept if r.name.startswith(GENERATED)]
+
+    def cut(what: str, chosen: Sequence[Recording], every: int, least: int = PREDICTION_FRAMES) -> Windows:
+        told = partial(progress, f"windows, {what}")
+        return learnable(windows(chosen, risk, stride=every, future_least=least, progress=told))
+
     data = Data(
-        learnable(windows(recorded, risk, stride=max(1, stride // 2), future_least=LEAST_FUTURE)),
-        learnable(windows(generated, risk, stride=2 * stride)) if generated else None,
-        learnable(windows(held, risk, stride=stride)),
+        cut("recorded", recorded, max(1, stride // 2), LEAST_FUTURE),
+        cut("generated", generated, 2 * stride) if generated else None,
+        cut("held out", held, stride),
     )
     if not len(data.recorded) and (data.generated is None or not len(data.generated)):
         raise ValueError("no moving vehicle with 3 s of history in these tables: nothing to train on")

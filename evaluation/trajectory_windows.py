@@ -6,7 +6,7 @@ risk and leader from everyone in the recording at that frame. Windows never reac
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -22,6 +22,14 @@ from services.predictor.surrounding_risk import VELOCITY_STEPS, Scene, backward_
 
 MOVED_M = 0.15
 """Displacement from which a direction of motion is believed where a source gives no heading [m]."""
+
+
+Progress = Callable[[int, int], None]
+"""What is done, of how much."""
+
+
+def silent(done: int, whole: int) -> None:
+    """Tell nobody."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,11 @@ class Recording:
     name: str
     site: str
     tracks: tuple[Recorded, ...]
+
+    @property
+    def positions(self) -> int:
+        """Rows of all tracks."""
+        return sum(len(t.x) for t in self.tracks)
 
 
 @dataclass(frozen=True)
@@ -132,12 +145,25 @@ def heading_behind(x: F64, y: F64) -> F64:
 
 
 def windows(
-    sources: Iterable[Recording], risk: RiskParameters, *, stride: int = 5, future_least: int = PREDICTION_FRAMES
+    sources: Iterable[Recording],
+    risk: RiskParameters,
+    *,
+    stride: int = 5,
+    future_least: int = PREDICTION_FRAMES,
+    progress: Progress = silent,
 ) -> Windows:
-    """Cut windows every `stride` frames; those with at least `future_least` frames of future."""
-    found = list(sources)
-    parts = [_of_recording(r, risk, stride, future_least) for r in found]
-    return joined(parts) if parts else joined([_of_recording(Recording("", "", ()), risk, stride, future_least)])
+    """Cut windows every `stride` frames; those with at least `future_least` frames of future.
+
+    `progress` gets the positions that were worked on, and how many there are.
+    """
+    found = list(sources) or [Recording("", "", ())]
+    done, whole = 0, sum(r.positions for r in found)
+    parts = []
+    for r in found:
+        parts.append(_of_recording(r, risk, stride, future_least))
+        done += r.positions
+        progress(done, whole)
+    return joined(parts)
 
 
 def _of_recording(recording: Recording, risk: RiskParameters, stride: int, least: int) -> Windows:

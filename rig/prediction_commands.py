@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -20,6 +21,7 @@ from common.risk import RiskParameters
 from rig import configuration
 from rig.exits import exits, say, writable, write
 from rig.settings import RigSettings
+from rig.working import working
 from services.predictor.settings import Policy, PredictorSettings
 
 Files = Annotated[list[str] | None, typer.Argument(help="More files.", show_default=False)]
@@ -41,6 +43,10 @@ Sets = Annotated[list[str] | None, typer.Option("--set", help="One setting; may 
 TorchDevice = Annotated[str, typer.Option("--device", help="Where to train.", metavar="cpu|cuda")]
 WIDTH = 118
 """Narrower tables would cut the figures off."""
+Group = Literal[
+    "all", "moving", "vehicle_moving", "pedestrian_moving", "cycle_moving",
+    "vehicle_stopped", "pedestrian_stopped", "cycle_stopped",
+]  # fmt: skip
 Method = Literal["paper", "learned-first", "learned-on-lanes", "map-first", "kinematic"]
 assert get_args(Method) == get_args(Policy)
 
@@ -86,7 +92,8 @@ def train_predictor(
         _device(device)
         wanted = training.plans([n.strip() for n in networks.split(",") if n.strip()], hidden, steps)
         files = _files("--tracks", tracks, more)
-        data = training.read(files, hold_out or [], RiskParameters(), stride)
+        with working() as tell:
+            data = training.read(files, hold_out or [], RiskParameters(), stride, tell)
         say(
             f"{len(data.recorded)} recorded windows, {len(data.generated or ())} generated, {len(data.validation)} held"
         )
@@ -122,7 +129,7 @@ def eval_prediction(
     json_: Json = None,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw the result.", metavar="OUT.png")] = None,
     stride: Stride = 5,
-    group: Annotated[str, typer.Option("--group", help="Group that table and picture show.")] = "vehicle_moving",
+    group: Annotated[Group, typer.Option("--group", help="Group that table and picture show.")] = "vehicle_moving",
     repeats: Annotated[int, typer.Option("--repeats", help="Bootstrap repeats.", min=10)] = 1000,
     config_: Config = None,
     set_: Sets = None,
@@ -141,13 +148,14 @@ def eval_prediction(
         files = _files("--tracks", tracks, more) if tracks else []
         models = measuring.models_of(weights)
         risk = config.section(tree, "risk", RiskParameters)
-        if tracks:
-            cases = measuring.track_cases(files, risk, stride)
-        else:
-            names = [*(scenarios or []), *(more or [])]
-            cases = measuring.scenario_cases(names, risk, config.section(tree, "rig", RigSettings), stride)
         settings = config.section(tree, "predictor", PredictorSettings)
-        result = measuring.evaluate(cases, models, settings, repeats=repeats)
+        with working() as tell:
+            if tracks:
+                cases = measuring.track_cases(files, risk, stride, tell)
+            else:
+                names = [*(scenarios or []), *(more or [])]
+                cases = measuring.scenario_cases(names, risk, config.section(tree, "rig", RigSettings), stride, tell)
+            result = measuring.evaluate(cases, models, settings, repeats=repeats, progress=tell)
         if json_ is not None:
             write(json_, result)
         if plot is not None:
@@ -183,8 +191,10 @@ def eval_ablation(
         writable("--json", json_)
         risk = RiskParameters()
         files = _files("--tracks", tracks, more)
-        data = training.read([Path(f) for f in train_on], [], risk, stride)
-        test = windows([r for f in files for r in recordings(f)], risk, stride=stride)
+        with working() as tell:
+            data = training.read(_files("--train-on", train_on, None), [], risk, stride, tell)
+            found = [r for f in files for r in recordings(f)]
+            test = windows(found, risk, stride=stride, progress=partial(tell, "windows to compare on"))
         if work is not None:
             work.mkdir(parents=True, exist_ok=True)
         result = ablating.ablation(

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from common.risk import RiskParameters
 from evaluation import eval_ablation, prediction_scores
 from evaluation import train_predictor as training
-from evaluation.eval_prediction import Case, Models, evaluate
+from evaluation.eval_prediction import Case, Models, evaluate, track_cases
 from evaluation.training import Options
 from evaluation.trajectory_windows import windows
 from rig.application import app
@@ -27,7 +27,7 @@ METHODS = {
     "constant_velocity", "ctra", "ridge", "lstm", "lstm_no_risk", "lstm_no_attention", "policy_paper",
     "policy_learned_first", "policy_default",
 }  # fmt: skip
-GROUPS = {"all", "moving", "vehicle_moving"}
+GROUPS = {"all", "moving", "vehicle_moving", "pedestrian_moving", "cycle_moving"}
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,11 @@ def test_the_command_writes_the_agreed_json(weights, tmp_path):
             assert set(horizons) == {"20", "40", "60"}
             for score in horizons.values():
                 assert set(score) >= {"ade", "fde", "miss", "n", "ade_ci", "fde_ci"}
-                assert score["ade_ci"][0] <= score["ade"] <= score["ade_ci"][1]
+                if score["n"]:
+                    assert score["ade_ci"][0] <= score["ade"] <= score["ade_ci"][1]
+                else:
+                    assert score["ade"] is None and score["fde_ci"] is None
+        assert groups["vehicle_moving"]["60"]["n"] > 0 and groups["cycle_moving"]["60"]["n"] == 0
     assert set(result["per_recording"]) == {"u0", "u1", "u2"} and set(result["sites"]) == {"unseen"}
     assert picture.stat().st_size > 1000
 
@@ -77,6 +81,12 @@ def test_the_command_writes_the_agreed_json(weights, tmp_path):
 def test_bad_input_ends_with_code_2_and_says_what_is_wrong(arguments, said):
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 2 and said in " ".join(done.output.split())
+
+
+def test_recordings_of_one_name_from_two_files_stay_apart(weights, tmp_path):
+    files = [table(tmp_path / f"{s}.csv", [traffic("same", k=100, seed=i)]) for i, s in enumerate("ab")]
+    result = evaluate(track_cases(files, P, 20), Models.of(weights), PredictorSettings(), repeats=10)
+    assert set(result["per_recording"]) == {"a/same", "b/same"}
 
 
 def test_errors_are_mean_and_final_distance():
