@@ -128,21 +128,26 @@ def _compared(error: Mapping[str, F64], data: Windows, rows: scoring.Bool, repea
     return result
 
 
-def table(result: Mapping[str, Any]) -> Table:
-    """Change at 6 s when an input is left out."""
-    out = Table(title=f"left out, change of the error at 6 s; {len(result['seeds'])} seeds")
-    for column in ("site", "arm", "ADE [m]", "FDE [m]", "against", "ADE change [%]", "FDE change [%]", "worse"):
-        out.add_column(column, no_wrap=True)
+def tables(result: Mapping[str, Any]) -> list[Table]:
+    """Change at 6 s when an input is left out, pooled and by site."""
+    seeds = len(result["seeds"])
+    made = []
     for site, compared in result["results"].items():
+        of = f"{compared['n']} windows, {compared['units']} units resampled, {seeds} seeds"
+        out = Table(title=f"{site}: change of the error at 6 s when left out; {of}")
+        for column in ("arm", "ADE/FDE [m]", "± by seed", "against", "ADE [%]", "FDE [%]", "seeds worse"):
+            out.add_column(column, no_wrap=True)
         for arm in result["arms"]:
             ade, fde = compared[arm]["ade_60"], compared[arm]["fde_60"]
-            cells = [f"{s['mean']:.2f} ± {s['sd_of_seeds']:.2f}" for s in (ade, fde)]
-            changes = [
-                f"{s['change_percent']:+.1f} ({s['change_ci'][0]:+.1f} … {s['change_ci'][1]:+.1f})"
-                if "change_ci" in s
-                else ""
-                for s in (ade, fde)
-            ]
-            worse = f"{fde['seeds_worse']}/{len(result['seeds'])}" if "seeds_worse" in fde else ""
-            out.add_row(site, arm, *cells, fde.get("reference", ""), *changes, worse)
-    return out
+            cells = [f"{ade[k]:.2f}/{fde[k]:.2f}" for k in ("mean", "sd_of_seeds")]
+            changes = ["", "", "", ""]
+            if "reference" in fde:
+                changes = [fde["reference"], *(_change(s) for s in (ade, fde)), f"{fde['seeds_worse']}/{seeds}"]
+            out.add_row(arm, *cells, *changes)
+        made.append(out)
+    return made
+
+
+def _change(score: Mapping[str, Any]) -> str:
+    low, high = score["change_ci"]
+    return f"{score['change_percent']:+.1f} ({low:+.1f} … {high:+.1f})"

@@ -11,12 +11,11 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from common.messages import F32, F64, FRAME_S, PREDICTION_FRAMES
@@ -29,6 +28,8 @@ from services.predictor.surrounding_risk import RISK_POINTS, VELOCITY_STEPS
 
 MIRROR = np.array([2, 1, 0, 5, 4, 3, 8, 7, 6])
 """The nine points seen in a mirror."""
+CHECK_STEPS = 100
+"""Steps between two checks on what is held out, and between checkpoints."""
 LEARNED_CLASSES = VEHICLES
 """The class rule: networks learn from and speak for these alone."""
 
@@ -176,6 +177,65 @@ class Fitted:
     """Step, training loss, validation loss (NaN without)."""
 
 
+@dataclass
+class _Run:
+    """A training under way: all that changes with its steps, and what a checkpoint holds."""
+
+    architecture: Architecture
+    options: Options
+    network: Network
+    average: Network
+    """Its weights, averaged over the steps: what is kept in the end."""
+    optimiser: torch.optim.Optimizer
+    step: int = 0
+    curve: list[tuple[int, float, float]] = field(default_factory=list)
+
+    @staticmethod
+    def begun(architecture: Architecture, options: Options, device: str) -> _Run:
+        torch.manual_seed(options.seed)
+        network = Network(architecture).to(device)
+        average = Network(architecture).to(device)
+        average.load_state_dict(network.state_dict())
+        optimiser = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=options.decay)
+        return _Run(architecture, options, network, average, optimiser)
+
+    @property
+    def _identity(self) -> str:
+        return json.dumps([self.architecture.as_dict(), asdict(self.options)], sort_keys=True)
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint, whole or not at all."""
+        state: dict[str, Any] = {"identity": self._identity, "step": self.step, "curve": self.curve}
+        state |= {name: getattr(self, name).state_dict() for name in ("network", "average", "optimiser")}
+        draft = path.with_name(f".{path.name}.{os.getpid()}")
+        torch.save(state, draft)
+        draft.replace(path)
+
+    def resume(self, path: Path) -> None:
+        """Go on from a checkpoint of the same architecture and options; another one's is not used."""
+        state = torch.load(path, weights_only=True)
+        if state["identity"] == self._identity:
+            for name in ("network", "average", "optimiser"):
+                getattr(self, name).load_state_dict(state[name])
+            self.step, self.curve = int(state["step"]), [tuple(c) for c in state["curve"]]
+
+    def advance(self, batch: Batch, device: str) -> float:
+        """One step of the optimiser; the loss before it."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.options.rate * _schedule(self.step, self.options)
+        self.optimiser.zero_grad()
+        loss = loss_of(self.network, batch, device)
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.options.clip)
+        self.optimiser.step()
+        mix = min(self.options.average, self.step / (self.step + 10.0))
+        with torch.no_grad():
+            for a, b in zip(self.average.parameters(), self.network.parameters(), strict=True):
+                a.lerp_(b, 1.0 - mix)
+        self.step += 1
+        return float(loss.detach())
+
+
 def fit(
     architecture: Architecture,
     recorded: Windows,
@@ -192,55 +252,41 @@ def fit(
 
     `progress` gets step, steps, training loss, validation loss and seconds to go.
     """
-    torch.manual_seed(options.seed)
-    network = Network(architecture).to(device)
-    average = Network(architecture).to(device)
-    average.load_state_dict(network.state_dict())
-    optimiser = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=options.decay)
-    pools = [(Pool(recorded), options.recorded_share if generated is not None else 1.0)] if len(recorded) else []
-    if generated is not None and len(generated):
-        pools.append((Pool(generated), 1.0 - options.recorded_share if pools else 1.0))
-    checks = (
-        None if validation is None or not len(validation) else batch_of(validation, architecture.form, None, options)
-    )
-    curve: list[tuple[int, float, float]] = []
-    first = 0
+    run = _Run.begun(architecture, options, device)
+    form = architecture.form
+    pools = _pools(recorded, generated, options)
+    checks = None if validation is None or not len(validation) else batch_of(validation, form, None, options)
     if checkpoint is not None and checkpoint.is_file():
-        first, curve = _resume(checkpoint, network, average, optimiser, architecture, options)
-    begin, running = time.monotonic(), float("nan")
-    for step in range(first, options.steps):
-        if stop_at is not None and step >= stop_at:
-            break
-        rng = np.random.default_rng([options.seed, step])
-        for group in optimiser.param_groups:
-            group["lr"] = options.rate * _schedule(step, options)
+        run.resume(checkpoint)
+    first, begin, running = run.step, time.monotonic(), float("nan")
+    while run.step < min(options.steps, options.steps if stop_at is None else stop_at):
+        rng = np.random.default_rng([options.seed, run.step])
         parts = [
-            batch_of(pool.draw(max(1, round(options.batch * share)), rng), architecture.form, rng, options)
-            for pool, share in pools
+            batch_of(pool.draw(max(1, round(options.batch * share)), rng), form, rng, options) for pool, share in pools
         ]
         batch = Batch(*(np.concatenate(a) for a in zip(*map(_arrays, parts), strict=True)))
-        optimiser.zero_grad()
-        loss = loss_of(network, batch, device)
-        loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(network.parameters(), options.clip)
-        optimiser.step()
-        mix = min(options.average, step / (step + 10.0))
-        with torch.no_grad():
-            for a, b in zip(average.parameters(), network.parameters(), strict=True):
-                a.lerp_(b, 1.0 - mix)
-        value = float(loss.detach())
+        value = run.advance(batch, device)
         running = value if running != running else 0.98 * running + 0.02 * value
-        if (step + 1) % 100 == 0 or step + 1 == options.steps:
+        if run.step % CHECK_STEPS == 0 or run.step == options.steps:
             held = float("nan")
             if checks is not None:
                 with torch.no_grad():
-                    held = float(loss_of(average, checks, device))
-            curve.append((step + 1, running, held))
-            to_go = (time.monotonic() - begin) / (step + 1 - first) * (options.steps - step - 1)
-            progress(step + 1, options.steps, running, held, to_go)
+                    held = float(loss_of(run.average, checks, device))
+            run.curve.append((run.step, running, held))
+            to_go = (time.monotonic() - begin) / (run.step - first) * (options.steps - run.step)
+            progress(run.step, options.steps, running, held, to_go)
             if checkpoint is not None:
-                _save(checkpoint, step + 1, curve, network, average, optimiser, architecture, options)
-    return Fitted(average.to("cpu").eval(), curve)
+                run.save(checkpoint)
+    return Fitted(run.average.to("cpu").eval(), run.curve)
+
+
+def _pools(recorded: Windows, generated: Windows | None, options: Options) -> list[tuple[Pool, float]]:
+    """What batches are drawn from, with each one's share."""
+    if generated is None or not len(generated):
+        return [(Pool(recorded), 1.0)]
+    if not len(recorded):
+        return [(Pool(generated), 1.0)]
+    return [(Pool(recorded), options.recorded_share), (Pool(generated), 1.0 - options.recorded_share)]
 
 
 def _schedule(step: int, options: Options) -> float:
@@ -249,58 +295,3 @@ def _schedule(step: int, options: Options) -> float:
         return (step + 1) / options.warm_up
     u = (step - options.warm_up) / max(options.steps - options.warm_up, 1)
     return 0.01 + 0.99 * 0.5 * (1.0 + float(np.cos(np.pi * u)))
-
-
-def _identity(architecture: Architecture, options: Options) -> str:
-    return json.dumps([architecture.as_dict(), asdict(options)], sort_keys=True)
-
-
-def _save(
-    path: Path,
-    step: int,
-    curve: list[tuple[int, float, float]],
-    network: Network,
-    average: Network,
-    optimiser: torch.optim.Optimizer,
-    architecture: Architecture,
-    options: Options,
-) -> None:
-    state: dict[str, Any] = {
-        "identity": _identity(architecture, options),
-        "step": step,
-        "curve": curve,
-        "network": network.state_dict(),
-        "average": average.state_dict(),
-        "optimiser": optimiser.state_dict(),
-    }
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    torch.save(state, draft)
-    draft.replace(path)
-
-
-def _resume(
-    path: Path,
-    network: Network,
-    average: Network,
-    optimiser: torch.optim.Optimizer,
-    architecture: Architecture,
-    options: Options,
-) -> tuple[int, list[tuple[int, float, float]]]:
-    """Step and curve of a checkpoint of the same architecture and options; another one's is not used."""
-    state = torch.load(path, weights_only=True)
-    if state["identity"] != _identity(architecture, options):
-        return 0, []
-    network.load_state_dict(state["network"])
-    average.load_state_dict(state["average"])
-    optimiser.load_state_dict(state["optimiser"])
-    return int(state["step"]), [tuple(c) for c in state["curve"]]
-
-
-def residuals(network: Network, data: Windows, rows: int = 4096) -> npt.NDArray[np.float32]:
-    """What a network says for windows as they are, own frame [m], shape [n, 60, 2]."""
-    form, parts = network.architecture.form, []
-    with torch.no_grad():
-        for i in range(0, len(data), rows):
-            batch = batch_of(data.take(np.arange(i, min(i + rows, len(data)))), form, None, Options())
-            parts.append(network(torch.from_numpy(batch.x), torch.from_numpy(batch.context)).numpy())
-    return np.concatenate(parts) if parts else np.zeros((0, PREDICTION_FRAMES, 2), dtype=np.float32)

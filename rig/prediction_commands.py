@@ -203,7 +203,8 @@ def eval_ablation(
         )  # fmt: skip
         if json_ is not None:
             write(json_, result)
-        Console(width=max(Console().width, WIDTH)).print(ablating.table(result))
+        for part in ablating.tables(result):
+            Console(width=max(Console().width, WIDTH)).print(part)
 
 
 def generate_traffic(

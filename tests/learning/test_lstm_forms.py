@@ -12,7 +12,7 @@ import torch
 from common.messages import ObjectClass
 from common.risk import RiskParameters
 from evaluation.eval_prediction import as_service
-from evaluation.training import LEARNED_CLASSES, Options, batch_of, residuals
+from evaluation.training import LEARNED_CLASSES, Options, batch_of
 from evaluation.trajectory_windows import Recorded, Recording, windows
 from services.predictor import features
 from services.predictor.kinematic import constant_velocity, estimate
@@ -137,7 +137,9 @@ def test_training_and_service_agree_on_the_residual():
     network = loud(Architecture(hidden=8))
     m, straight = motion(network, data)
     frame = features.OwnFrame.of(data.x, data.y, data.heading[:, 0])
-    expected = frame.turned_out(residuals(network, data).astype(float))
+    batch = batch_of(data, "residual", None, Options())
+    said = network(torch.from_numpy(batch.x), torch.from_numpy(batch.context)).numpy()
+    expected = frame.turned_out(said.astype(float))
     fast = np.hypot(data.x[:, 0] - data.x[:, 3], data.y[:, 0] - data.y[:, 3]) / 0.3 > 1.0
     np.testing.assert_allclose((m.x - straight.x)[fast], expected[fast, :, 0], atol=1e-4)
     np.testing.assert_allclose((m.y - straight.y)[fast], expected[fast, :, 1], atol=1e-4)
