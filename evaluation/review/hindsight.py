@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from common.messages import FRAME_S, F64, Method
+from common.messages import F64, FRAME_S, Method
 from evaluation.review.recording import Foreseen, Recording, Seen
 from viz.account import HORIZONS_S
 
