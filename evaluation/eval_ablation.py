@@ -1,9 +1,11 @@
 """The paper's ablations: `forefield eval ablation`, the same network with and without an input, over several seeds.
 
-For every seed the arms see the same batches in the same order. A difference is the arm's error minus its reference's in
-per cent of the reference's (positive: leaving it out hurts); the reference is the full network, and for `motion_alone`
-the arm without leaders, so that it tells what surrounding risk is worth to a network that sees no one ahead.
-Intervals resample seeds and recordings together.
+For every seed the arms see the same batches in the same order. A difference is the arm's error minus its reference's
+in per cent of the reference's (positive: leaving it out hurts); the reference is the full network of the same form, and
+for `motion_alone` the arm without leaders, so that it tells what surrounding risk is worth to a network that sees no
+one ahead. `risk_of_another` and `leader_of_another` are the full network, not trained again, that is shown what stood
+around another window's vehicle: what they change is how much the network goes by it. Intervals resample seeds and
+recordings together.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -28,23 +30,40 @@ from services.predictor.kinematic import estimate
 from services.predictor.learned import motion_of
 from services.predictor.lstm import Architecture, Form
 from services.predictor.settings import PredictorSettings
+from services.predictor.surrounding_risk import RISK_POINTS
 from services.predictor.weight_files import Loaded
 
-REFERENCE = {"motion_alone": "no_leader"}
-"""What an arm is compared with; otherwise with `full`."""
+REFERENCE = {
+    "no_risk": "full",
+    "no_attention": "full",
+    "no_leader": "full",
+    "motion_alone": "no_leader",
+    "risk_of_another": "full",
+    "leader_of_another": "full",
+    "paper_no_risk": "paper",
+    "paper_no_attention": "paper",
+}
+"""What each arm is compared with; `full` and `paper` are the references."""
+OF_ANOTHER = {"risk_of_another": slice(0, RISK_POINTS), "leader_of_another": slice(RISK_POINTS, None)}
+"""Which signals an arm takes from another window."""
 
 
-def arms(form: Form, hidden: int) -> dict[str, Architecture]:
-    """The full network and what each arm leaves out; the paper's form has no leaders to leave out."""
-    full = Architecture(form=form, hidden=hidden)
-    paper = {"full": full, "no_risk": replace(full, risk=False), "no_attention": replace(full, attention=False)}
-    if form == "paper":
-        return paper
-    return {
-        **paper,
+def arms(form: Form | Literal["both"], hidden: int) -> dict[str, Architecture]:
+    """The full networks and what each arm leaves out; the paper's form has no leaders to leave out."""
+    full, paper = Architecture(hidden=hidden), Architecture(form="paper", hidden=hidden)
+    residual_arms = {
+        "full": full,
+        "no_risk": replace(full, risk=False),
+        "no_attention": replace(full, attention=False),
         "no_leader": replace(full, leader=False),
         "motion_alone": replace(full, leader=False, risk=False),
     }
+    paper_arms = {
+        "paper": paper,
+        "paper_no_risk": replace(paper, risk=False),
+        "paper_no_attention": replace(paper, attention=False),
+    }
+    return {**(residual_arms if form != "paper" else {}), **(paper_arms if form != "residual" else {})}
 
 
 def ablation(
@@ -65,14 +84,19 @@ def ablation(
     chosen = chosen.take(chosen.moving)
     if not len(chosen):
         raise ValueError("no moving vehicle with 3 s of history and 6 s of future to compare on")
-    error: dict[str, list[F64]] = {name: [] for name in architectures}
+    error: dict[str, list[F64]] = {
+        name: [] for name in (*architectures, *(OF_ANOTHER if "full" in architectures else ()))
+    }
     begin, done, whole = time.monotonic(), 0, len(seeds) * len(architectures)
     for seed in seeds:
         for name, architecture in architectures.items():
             own = replace(options, seed=seed)
             file = None if checkpoints is None else checkpoints / f"{architecture.form}-{name}-{seed}.checkpoint"
             fitted = fit(architecture, data.recorded, data.generated, own, device=device, checkpoint=file)
-            error[name].append(_errors(Loaded(name, fitted.network, (1.0, 1.0), frozenset(LEARNED_CLASSES)), chosen))
+            loaded = Loaded(name, fitted.network, (1.0, 1.0), frozenset(LEARNED_CLASSES))
+            error[name].append(_errors(loaded, chosen))
+            for other, columns in OF_ANOTHER.items() if name == "full" else ():
+                error[other].append(_errors(loaded, _of_another(chosen, columns, seed)))
             done += 1
             to_go = (time.monotonic() - begin) / done * (whole - done)
             fde = error[name][-1][:, 2, 1].mean()
@@ -88,6 +112,13 @@ def ablation(
         "arms": {n: a.as_dict() for n, a in architectures.items()},
         "results": {s: _compared(stacked, chosen, r, repeats) for s, r in rows.items() if r.any()},
     }
+
+
+def _of_another(data: Windows, columns: slice, seed: int) -> Windows:
+    """Each window with those signals of another one, drawn at random."""
+    signals = data.signals.copy()
+    signals[..., columns] = data.signals[np.random.default_rng(seed).permutation(len(data)), :, columns]
+    return replace(data, signals=signals)
 
 
 def _errors(loaded: Loaded, data: Windows) -> F64:
@@ -111,11 +142,12 @@ def _compared(error: Mapping[str, F64], data: Windows, rows: scoring.Bool, repea
         entry: dict[str, Any] = {}
         for h, k in enumerate(scoring.HORIZONS):
             for c, what in enumerate(("ade", "fde")):
-                reference = REFERENCE.get(name, "full")
-                own, other = e[:, rows, h, c], error[reference][:, rows, h, c]
+                own = e[:, rows, h, c]
                 per_seed = own.mean(axis=1)
                 score: dict[str, Any] = {"mean": float(per_seed.mean()), "sd_of_seeds": float(per_seed.std(ddof=1))}
-                if name != "full":
+                reference = REFERENCE.get(name)
+                if reference is not None:
+                    other = error[reference][:, rows, h, c]
                     sums = [np.stack([np.bincount(units, weights=s) for s in v]) for v in (own, other)]
                     a, b = (np.einsum("rs,su,ru->r", drawn_seeds, s, drawn) for s in sums)
                     low, high = np.percentile(100.0 * (a / b - 1.0), scoring.LEVEL)
@@ -137,7 +169,7 @@ def tables(result: Mapping[str, Any]) -> list[Table]:
         out = Table(title=f"{site}: change of the error at 6 s when left out; {of}")
         for column in ("arm", "ADE/FDE [m]", "± by seed", "against", "ADE [%]", "FDE [%]", "seeds worse"):
             out.add_column(column, no_wrap=True)
-        for arm in result["arms"]:
+        for arm in (a for a in compared if a not in ("n", "units")):
             ade, fde = compared[arm]["ade_60"], compared[arm]["fde_60"]
             cells = [f"{ade[k]:.2f}/{fde[k]:.2f}" for k in ("mean", "sd_of_seeds")]
             changes = ["", "", "", ""]

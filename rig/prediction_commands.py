@@ -174,7 +174,7 @@ def eval_ablation(
     seeds: Annotated[int, typer.Option("--seeds", min=2, max=50)] = 5,
     steps: Steps = 600,
     hidden: Hidden = 32,
-    form: Annotated[Literal["paper", "residual"], typer.Option("--form", help="Of the network.")] = "residual",
+    form: Annotated[Literal["paper", "residual", "both"], typer.Option("--form", help="Of the network.")] = "both",
     stride: Stride = 5,
     work: Annotated[Path | None, typer.Option("--work", help="Folder of checkpoints, to resume.")] = None,
     json_: Json = None,

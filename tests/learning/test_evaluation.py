@@ -131,5 +131,9 @@ def test_the_ablation_pairs_seeds_and_says_how_sure_it_is(tmp_path):
     alone, blind = pooled["motion_alone"]["ade_60"], pooled["no_leader"]["ade_60"]
     assert alone["reference"] == "no_leader"
     assert alone["change_percent"] == pytest.approx(100 * (alone["mean"] / blind["mean"] - 1))
+    other = pooled["risk_of_another"]["ade_60"]
+    assert other["reference"] == "full" and np.isfinite(other["change_percent"])
     json.dumps(result)
-    assert "no_leader" not in eval_ablation.arms("paper", 8)
+    paper = eval_ablation.arms("paper", 8)
+    assert set(paper) == {"paper", "paper_no_risk", "paper_no_attention"}
+    assert not paper["paper_no_risk"].risk and not paper["paper_no_attention"].attention
