@@ -104,6 +104,8 @@ class Scenario:
     warnings: tuple[str, ...] = ()
     human: Track | None = None
     """How the recorded driver drove where the ego now drives; None: the source does not tell."""
+    human_goal_s: float | None = None
+    """When the recorded driver was at the goal [s]; None: the source does not tell."""
     detail: dict[str, str] = field(default_factory=dict)
 
     def objects_at(self, t: float) -> Objects:

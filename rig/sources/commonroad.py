@@ -42,6 +42,7 @@ CLASSES = {
 """CommonRoad's obstacle types; every other one is `unknown`."""
 GOAL_RADIUS_M = 3.0  # m, at least: recorded goals are as small as the place where one driver happened to be
 OTHER_START_M = 1.5  # m of cost: lanes that hold the start nearly as well as the best one (junctions) may be chosen
+SHARP_GOAL_S = 1.1  # s: a goal whose interval of time is no wider tells when the recorded driver was there
 TIMED_GOAL_PACE = 0.8  # of the initial speed: where a goal that is only a time is put
 
 
@@ -106,8 +107,25 @@ def _scenario(path: Path, file: Any, problems: Any, settings: RigSettings, warni
         closures=tuple(closures),
         warnings=tuple(warnings),
         human=human,
+        human_goal_s=_human_at_goal(problem.goal, step0, dt),
         detail={"file": path.name},
     )
+
+
+def _human_at_goal(goal: Any, step0: int, dt: float) -> float | None:
+    """When the recorded driver was at a small goal [s]: files made from recordings give an interval about it.
+
+    The middle of the interval; it is cut off where the record ends. None where it is wide or no place is given.
+    """
+    state = goal.state_list[0]
+    shape = getattr(getattr(state, "position", None), "shapely_object", None)
+    time = state.time_step
+    first, last = int(getattr(time, "start", time)) - step0, int(getattr(time, "end", time)) - step0
+    if shape is None or (goal.lanelets_of_goal_position or {}).get(0) or shape.length > 30.0:
+        return None
+    if first <= 0 or (last - first) * dt > SHARP_GOAL_S:
+        return None
+    return (first + last) / 2 * dt
 
 
 # --- reading the file ---

@@ -331,6 +331,9 @@ def _connector(id: int, line: F64, successors: list[int]) -> Lane:
     return roads.lane(id, line, left="virtual", right="virtual", successors=successors, limit=LIMIT)
 
 
+REPLAYED: tuple[str, ...] = ()
+"""Scenarios whose others never react."""
+
 SCENARIOS: dict[str, Callable[[Draw], Scenario]] = {
     "demo": demo,
     "straight": straight,

@@ -1,0 +1,97 @@
+"""Which scenarios are driven: names, files, folders, or random variants of the named ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from common.config import ConfigError
+from evaluation.planning.traffic import Kind
+from rig.settings import RigSettings
+from rig.sources import ScenarioError, builtin_scenarios, load_scenario
+from rig.sources.generated import REPLAYED
+from rig.world import Scenario
+
+ENDINGS = (".xml", ".csv", ".csv.gz")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One scenario to drive: how it is found, and as what it counts."""
+
+    name: str
+    source: str
+    seed: int = 0
+    family: str = ""
+    """The named manoeuvre; empty: a recording."""
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A world, and how its others move."""
+
+    choice: Choice
+    scenario: Scenario
+    traffic: Kind
+
+
+def choices(sources: Sequence[str], variants: int, seed: int) -> list[Choice]:
+    """What is asked for; without anything, every built-in scenario.
+
+    Raises:
+        ConfigError: a folder without scenarios, or a name twice.
+    """
+    named = list(builtin_scenarios())
+    if variants:
+        rng = np.random.default_rng([seed, 7])
+        order = [named[i % len(named)] for i in range(variants)]
+        seeds = rng.choice(2**31 - 1, size=variants, replace=False) + 1
+        return [Choice(f"{n}#{s}", n, int(s), n) for n, s in zip(order, seeds, strict=True)]
+    found = []
+    for source in sources or named:
+        if source in named:
+            found.append(Choice(source, source, seed, source))
+        elif "#" in source and source.split("#")[0] in named and source.split("#")[1].isdigit():
+            name, _, number = source.partition("#")
+            found.append(Choice(source, name, int(number), name))
+        elif Path(source).is_dir():
+            files = sorted(p for p in Path(source).iterdir() if p.name.endswith(ENDINGS))
+            if not files:
+                raise ConfigError(f"--scenarios {source}: no .xml, .csv or .csv.gz in this folder")
+            found += [Choice(_stem(p), str(p)) for p in files]
+        else:
+            found.append(Choice(_stem(Path(source)), source))
+    names = [c.name for c in found]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ConfigError(f"--scenarios: {', '.join(twice)} stands there twice")
+    return found
+
+
+def _stem(path: Path) -> str:
+    file, _, selection = path.name.partition("#")
+    for ending in ENDINGS:
+        file = file.removesuffix(ending)
+    return f"{file}#{selection}" if selection else file
+
+
+def loaded(
+    found: Sequence[Choice], kind: Kind | None, settings: RigSettings, failed: Callable[[str, str], None]
+) -> list[Loaded]:
+    """Load them all; one that cannot be loaded is told to `failed` and left out."""
+    worlds = []
+    for c in found:
+        try:
+            scenario = load_scenario(c.source, seed=c.seed, settings=settings)
+        except ScenarioError as e:
+            failed(c.name, str(e))
+            continue
+        except Exception as e:  # a reader's own surprise must not stop the others
+            failed(c.name, f"{type(e).__name__}: {e}")
+            continue
+        default: Kind = "reactive" if c.family and c.family not in REPLAYED else "replay"
+        worlds.append(Loaded(c, scenario, kind or default))
+    return worlds

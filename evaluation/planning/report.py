@@ -1,0 +1,180 @@
+"""From drives to figures: the summary of each planner, tables for the terminal, one page of HTML."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from evaluation.planning.measures import pooled_efficiency
+
+Entries = Mapping[str, dict[str, Any]]
+
+
+def summary(entries: Entries) -> dict[str, Any]:
+    """The figures of one planner over all its drives; what failed inside is counted under `errors`."""
+    good = [e for e in entries.values() if "error" not in e]
+    cycle = np.concatenate([e["cycle_ms"] for e in good]) if good else np.zeros(0)
+    judged = [e for e in good if e["criterion"] is not None]
+    on_map = [e for e in good if e["off_road"] is not None]
+    length = sum(e["duration_s"] for e in good)
+    return {
+        "n": len(good),
+        "errors": len(entries) - len(good),
+        "collisions": sum(e["collision"] for e in good),
+        "collisions_at_fault": sum(e["collision_at_fault"] for e in good),
+        "goal_rate": _share(sum(e["goal"] for e in good), len(good)),
+        "off_road": sum(bool(e["off_road"]) for e in on_map),
+        "efficiency": pooled_efficiency(good),
+        "efficiency_human": pooled_efficiency(good, "human"),
+        "efficiency_idm": pooled_efficiency(good, "idm"),
+        "criteria_passed": sum(e["criterion"] == "" for e in judged),
+        "criteria": len(judged),
+        "max_accel_lon": max((e["max_accel_lon"] for e in good), default=0.0),
+        "max_accel_lat": max((e["max_accel_lat"] for e in good), default=0.0),
+        "max_accel_lon_with_emergencies": max((e["with_emergencies"]["max_accel_lon"] for e in good), default=0.0),
+        "p95_jerk": round(float(np.average([e["p95_jerk"] for e in good], weights=_weights(good))), 3) if good else 0.0,
+        "min_ttc_s": min((e["min_ttc_s"] for e in good if e["min_ttc_s"] is not None), default=None),
+        "emergency_share": _share(sum(e["emergency_share"] * e["duration_s"] for e in good), length),
+        "safe_stop_share": _share(sum(e["safe_stop_share"] * e["duration_s"] for e in good), length),
+        "cycle_ms_p50": _percentile(cycle, 50),
+        "cycle_ms_p99": _percentile(cycle, 99),
+        "driven_km": round(sum(e["distance_m"] for e in good) / 1000.0, 3),
+    }
+
+
+def _weights(entries: list[dict[str, Any]]) -> list[float]:
+    return [max(e["duration_s"], 0.1) for e in entries]
+
+
+def _share(part: float, whole: float) -> float:
+    return round(part / whole, 4) if whole > 0 else 0.0
+
+
+def _percentile(values: np.ndarray, q: float) -> float:
+    return round(float(np.percentile(values, q)), 2) if len(values) else 0.0
+
+
+def plain(entry: dict[str, Any]) -> dict[str, Any]:
+    """An entry as it stands in the JSON: the cycle times as percentiles."""
+    if "error" in entry:
+        return entry
+    cycle = np.array(entry["cycle_ms"])
+    rest = {k: v for k, v in entry.items() if k != "cycle_ms"}
+    return {**rest, "cycle_ms_p50": _percentile(cycle, 50), "cycle_ms_p99": _percentile(cycle, 99)}
+
+
+def summary_table(result: dict[str, Any]) -> Table:
+    """One row a planner."""
+    out = Table(title="Closed loop in simulated time", title_justify="left")
+    for name in (
+        "planner", "drives", "criteria", "coll.", "at fault", "goal", "off road", "vs human", "vs IDM", "a_lon",
+        "a_lat", "jerk p95", "emerg.", "safe stop", "cycle p50/p99 ms",
+    ):  # fmt: skip
+        out.add_column(name, justify="left" if name == "planner" else "right")
+    for planner, s in result["summary"].items():
+        errors = f" +{s['errors']} failed" if s["errors"] else ""
+        criteria = f"{s['criteria_passed']}/{s['criteria']}" if s["criteria"] else "–"
+        out.add_row(
+            planner, f"{s['n']}{errors}", criteria, str(s["collisions"]), str(s["collisions_at_fault"]),
+            f"{s['goal_rate']:.0%}", str(s["off_road"]), _percent(s["efficiency_human"]), _percent(s["efficiency_idm"]),
+            f"{s['max_accel_lon']:.2f}", f"{s['max_accel_lat']:.2f}", f"{s['p95_jerk']:.2f}",
+            f"{s['emergency_share']:.1%}", f"{s['safe_stop_share']:.1%}",
+            f"{s['cycle_ms_p50']:.1f}/{s['cycle_ms_p99']:.1f}",
+        )  # fmt: skip
+    return out
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{value:.0%}"
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+COLUMNS = (
+    "scenario", "collision", "clear m", "TTC s", "goal s", "v m/s", "effic.", "a_lon", "a_lat", "jerk", "emerg.",
+    "stop", "criterion",
+)  # fmt: skip
+
+
+def cells(name: str, e: dict[str, Any]) -> list[str]:
+    """One drive as a row of `COLUMNS`."""
+    if "error" in e:
+        return [name, "failed", *[""] * (len(COLUMNS) - 3), e["error"]]
+    collision = "at fault" if e["collision_at_fault"] else "not at fault" if e["collision"] else "none"
+    goal = _number(e["goal_t"], 1) if e["goal"] else "no"
+    wrong = (
+        e["criterion"] if e["criterion"] is not None else (f"off road {e['off_road_m']} m" if e["off_road"] else "–")
+    )
+    return [
+        name, collision, _number(e["min_clearance_m"]), _number(e["min_ttc_s"], 1), goal,
+        _number(e["mean_speed_mps"], 1),
+        _percent(e["efficiency"]), _number(e["max_accel_lon"]), _number(e["max_accel_lat"]), _number(e["p95_jerk"]),
+        f"{e['emergency_share']:.0%}", f"{e['safe_stop_share']:.0%}", wrong or "ok",
+    ]  # fmt: skip
+
+
+def drives_table(planner: str, entries: Entries, *, only_failures: bool = False) -> Table | None:
+    """One row a drive; None: nothing to show."""
+    out = Table(title=f"{planner}: {'what went wrong' if only_failures else 'each drive'}", title_justify="left")
+    for column in COLUMNS:
+        out.add_column(
+            column, justify="left" if column in ("scenario", "criterion") else "right", no_wrap=column != "criterion"
+        )
+    rows = [cells(n, e) for n, e in entries.items() if not (only_failures and fine(e))]
+    for row in rows:
+        out.add_row(*row)
+    return out if rows else None
+
+
+def fine(e: dict[str, Any]) -> bool:
+    """Whether a drive has nothing to explain."""
+    return "error" not in e and not e["collision_at_fault"] and not e["off_road"] and not e["criterion"]
+
+
+STYLE = (
+    "body{font:14px/1.4 system-ui,sans-serif;margin:2rem;color:#222}table{border-collapse:collapse;margin:1rem 0 2rem}"
+    "th,td{padding:.25rem .6rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}"
+    "th:first-child,td:first-child,th:last-child,td:last-child{text-align:left}td:last-child{white-space:normal}"
+    "th{background:#f4f4f4}tr.bad td{background:#fdecea}code{background:#f4f4f4;padding:.1rem .3rem}"
+)
+
+
+def page(result: dict[str, Any]) -> str:
+    """Everything on one page that needs nothing else."""
+    keys = [k for s in result["summary"].values() for k in s]
+    keys = list(dict.fromkeys(keys))
+    names = list(result["summary"])
+    rows = [[k, *(_shown(result["summary"][n].get(k)) for n in names)] for k in keys]
+    parts = [
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>Forefield: planning in closed loop</title>",
+        f"<style>{STYLE}</style></head><body><h1>Planning in closed loop</h1>",
+        f"<p><code>{html.escape(result['command'])}</code></p>",
+        _table(["figure", *names], rows, set()),
+    ]
+    if result["not_loaded"]:
+        parts.append("<h2>Not loaded</h2>")
+        parts.append(_table(["scenario", "why"], [[k, v] for k, v in result["not_loaded"].items()], set()))
+    for planner, entries in result["scenarios"].items():
+        table = [cells(n, e) for n, e in entries.items()]
+        bad = {i for i, e in enumerate(entries.values()) if not fine(e)}
+        parts += [f"<h2>{html.escape(planner)}</h2>", _table(list(COLUMNS), table, bad)]
+    return "".join([*parts, "</body></html>\n"])
+
+
+def _shown(value: Any) -> str:
+    return "–" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _table(head: list[str], rows: list[list[str]], bad: set[int]) -> str:
+    top = "".join(f"<th>{html.escape(h)}</th>" for h in head)
+    body = "".join(
+        f"<tr{' class=bad' if i in bad else ''}>{''.join(f'<td>{html.escape(c)}</td>' for c in row)}</tr>"
+        for i, row in enumerate(rows)
+    )
+    return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"

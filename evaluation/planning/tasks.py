@@ -1,0 +1,56 @@
+"""One scenario driven by some planners: a piece of work that can be sent to another process or machine."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from common.config import Tree
+from evaluation.planning.drivers import driver
+from evaluation.planning.loop import drive
+from evaluation.planning.measures import measured
+from evaluation.planning.reactive import traffic
+from evaluation.planning.recorder import Recorder
+from evaluation.planning.traffic import Kind
+from evaluation.planning.yardstick import yardstick
+from rig.world import Scenario
+
+
+@dataclass(frozen=True)
+class Task:
+    """Everything one drive needs, the world itself included."""
+
+    name: str
+    family: str
+    scenario: Scenario
+    planners: tuple[str, ...]
+    tree: Tree
+    traffic: Kind
+
+
+def run(task: Task) -> dict[str, dict[str, Any]]:
+    """Drive it with every planner; an error inside is told under `error`, and the others go on."""
+    _one_thread()
+    found: dict[str, dict[str, Any]] = {}
+    try:
+        yard = yardstick(task.scenario, task.traffic, task.tree)
+    except Exception as e:  # whatever a strange world does, the other worlds are still to be driven
+        return {p: {"error": f"the yardstick failed: {type(e).__name__}: {e}"} for p in task.planners}
+    for planner in task.planners:
+        record = Recorder()
+        try:
+            who = driver(planner, task.tree)
+            others = traffic(task.scenario, task.traffic)
+            result = drive(task.scenario, task.tree, cores=who, traffic=others, watch=record)
+            entry = measured(task.scenario, result, record, yard, task.family)
+            found[planner] = {**entry, "traffic": task.traffic}
+        except Exception as e:
+            found[planner] = {"error": f"{type(e).__name__}: {e}"}
+    return found
+
+
+def _one_thread() -> None:
+    """Many processes with many threads each are slower than with one."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")

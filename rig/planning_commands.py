@@ -1,0 +1,100 @@
+"""The command of planning in closed loop: eval planning."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from rich.console import Console
+
+from common.config import ConfigError
+from rig import configuration
+from rig.exits import exits, writable, write
+
+Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
+Sets = Annotated[list[str] | None, typer.Option("--set", help="One setting; may be repeated.", metavar="KEY=VALUE")]
+Json = Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")]
+WIDTH = 170
+"""Narrower tables would cut the figures off."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the program; `eval` is shared with other measurements."""
+    group = next((g.typer_instance for g in app.registered_groups if g.name == "eval"), None)
+    if group is None:
+        group = typer.Typer(help="Measurements.", no_args_is_help=True)
+        app.add_typer(group, name="eval")
+    group.command("planning")(eval_planning)
+
+
+def eval_planning(
+    scenarios: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--scenarios",
+            help="Names, files (.xml, .csv[.gz][#REC[:TRACK]]) or folders; default: every built-in one.",
+            metavar="DIR|FILES|NAMES …",
+            show_default=False,
+        ),
+    ] = None,
+    more: Annotated[list[str] | None, typer.Argument(help="More scenarios.", show_default=False)] = None,
+    variants: Annotated[int, typer.Option("--variants", help="So many random variants of the named ones.", min=0)] = 0,
+    planner: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--planner", help="default, paper, current-only, idm, or a peer; may be repeated.", show_default="default"
+        ),
+    ] = None,
+    predictor: Annotated[
+        str | None, typer.Option("--predictor", help="Policy of the predictor: paper, learned-first, …")
+    ] = None,
+    traffic: Annotated[
+        Literal["replay", "reactive"] | None,
+        typer.Option("--traffic", help="How the others move; default: reactive in named scenarios, as recorded else."),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", help="Processes on this machine.", min=1, max=256)] = 1,
+    cluster: Annotated[
+        str, typer.Option("--cluster", help="A Dask scheduler that computes the drives.", metavar="ADDRESS")
+    ] = "",
+    seed: Annotated[int, typer.Option("--seed", help="Varies named scenarios; draws the variants.", min=0)] = 0,
+    json_: Json = None,
+    html: Annotated[Path | None, typer.Option("--html", help="Write tables as one page.", metavar="OUT.html")] = None,
+    config_: Config = None,
+    set_: Sets = None,
+) -> None:
+    """Does it drive well? Closed loop in simulated time, without the bus, beside other planners."""
+    from evaluation.planning import command, report
+
+    with exits():
+        settings = list(set_ or [])
+        if predictor is not None:
+            settings.append(f"predictor.policy={predictor}")
+        tree = configuration.load(config_, settings)
+        writable("--json", json_)
+        writable("--html", html)
+        if cluster and jobs > 1:
+            raise ConfigError("--jobs is for this machine, --cluster for others: one of them")
+        result = command.run(
+            tree,
+            sources=[*(scenarios or []), *(more or [])],
+            variants=variants,
+            planners=planner or ["default"],
+            traffic=traffic,
+            jobs=jobs,
+            cluster=cluster,
+            seed=seed,
+            console=Console(stderr=True),
+            command=shlex.join(["forefield", *sys.argv[1:]]),
+        )
+        if json_ is not None:
+            write(json_, result)
+        if html is not None:
+            html.write_text(report.page(result), encoding="utf-8")
+        console = Console(width=None if sys.stdout.isatty() else WIDTH)
+        for part in command.tables(result):
+            console.print(part)
+        if any(s["errors"] for s in result["summary"].values()):
+            raise typer.Exit(1)
