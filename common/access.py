@@ -66,7 +66,7 @@ def access_control(vehicles: Sequence[str], routers: Iterable[str] = ()) -> dict
     policies: list[dict[str, Any]] = []
 
     def allow(name: str, granted: Iterable[_Rule]) -> None:
-        ids = []
+        ids: list[str] = []
         for rule in granted:
             if rule.keys:
                 ids.append(f"{name}/{len(ids)}")

@@ -10,25 +10,25 @@ from __future__ import annotations
 import json
 import logging
 import math
-import os
 import secrets
 import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
-from common import access, codec
+from common import bus_config, codec
 from common.age import TransitClock
+from common.bus_config import BusSettings as BusSettings
+from common.bus_config import Secured
 from common.clock import Clock, monotonic
 from common.codec import RefusedError
-from common.config import ConfigError, Settings
+from common.config import ConfigError
 from common.health import Health
 from common.messages import Cause, Header, Message, Stamped
 from common.order import Order
@@ -36,105 +36,9 @@ from common.topics import VERSION_MAJOR, VERSION_MINOR, Delivery, Topic, alive_k
 
 log = logging.getLogger("forefield.bus")
 
-ATTEMPT_MS = 500
-"""How long one attempt to reach the router may take [ms]."""
-
 
 class NoRouterError(Exception):
     """The router was not reached before the caller stopped waiting."""
-
-
-class TlsSettings(Settings, frozen=True):
-    """Section `[bus.tls]`: who we are, and whom we believe. All three or none; the router's name is always checked."""
-
-    ca: str = ""
-    """Certificate of the authority that signed everyone's (PEM file)."""
-    certificate: str = ""
-    """Our own certificate (PEM file)."""
-    key: str = ""
-    """Its private key (PEM file)."""
-
-    @staticmethod
-    def of(folder: Path) -> TlsSettings:
-        """What `forefield certs` put into one process' folder."""
-        return TlsSettings(
-            ca=str(folder / "ca.pem"), certificate=str(folder / "certificate.pem"), key=str(folder / "key.pem")
-        )
-
-    @property
-    def wanted(self) -> bool:
-        """Whether anything is set."""
-        return bool(self.ca or self.certificate or self.key)
-
-
-class BusSettings(Settings, frozen=True):
-    """Section `[bus]`."""
-
-    connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
-    """Endpoints of the router."""
-    zenoh_config: str = ""
-    """A Zenoh configuration file (JSON5) instead of the built-in one: TLS, other transports."""
-    shared_memory: bool = False
-    """Zenoh's shared memory; drops silently when a receiver stalls, so it is off unless asked for."""
-    lease_ms: int = 500
-    """A peer silent for this long is gone [ms]."""
-    tls: TlsSettings = TlsSettings()
-
-
-def _built_in(mode: str, settings: BusSettings) -> dict[str, Any]:
-    config: dict[str, Any] = {
-        "mode": mode,
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "timestamping": {"enabled": True},
-        "transport": {
-            "link": {
-                # a risk volume is some 40 batches of 64 KiB: with Zenoh's default of a few batches queued, its
-                # put waits for the network again and again (6.2 ms for 2.7 MB on loopback, with 16 batches 2.2)
-                "tx": {"lease": settings.lease_ms, "queue": {"size": {"interactive_high": 16}}},
-                "rx": {"max_message_size": 80 * 1024 * 1024},
-            },
-            "shared_memory": {"enabled": settings.shared_memory},
-        },
-    }
-    if settings.tls.wanted:
-        config["transport"]["link"] |= {"protocols": ["tls"], "tls": _tls(settings.tls)}
-    return config
-
-
-def _tls(tls: TlsSettings) -> dict[str, Any]:
-    for name in ("ca", "certificate", "key"):
-        path = Path(getattr(tls, name))
-        if not getattr(tls, name):
-            raise ConfigError(f"bus.tls.{name} is missing: bus.tls needs ca, certificate and key (`forefield certs`)")
-        if not path.is_file():
-            raise ConfigError(f"bus.tls.{name}: {path}: no such file; `forefield certs` makes a bench's")
-        if not os.access(path, os.R_OK):
-            raise ConfigError(f"bus.tls.{name}: {path}: not readable by this user (uid {os.getuid()})")
-    return {
-        "root_ca_certificate": tls.ca,
-        "enable_mtls": True,
-        "verify_name_on_connect": True,
-        "close_link_on_expiration": True,
-        **dict.fromkeys(("listen_certificate", "connect_certificate"), tls.certificate),
-        **dict.fromkeys(("listen_private_key", "connect_private_key"), tls.key),
-    }
-
-
-def _checked(endpoints: Iterable[str], settings: BusSettings) -> list[str]:
-    """Endpoints, none of which may bypass TLS once it is asked for.
-
-    Raises:
-        ConfigError: with `[bus.tls]` an endpoint is not `tls/…`, or without it one is.
-    """
-    found = list(endpoints)
-    for endpoint in found:
-        if endpoint.startswith("tls/") != settings.tls.wanted:
-            raise ConfigError(
-                f"bus: {endpoint}: with bus.tls every endpoint begins with tls/"
-                if settings.tls.wanted
-                else f"bus: {endpoint}: a tls/ endpoint needs bus.tls.ca, bus.tls.certificate and bus.tls.key"
-            )
-    return found
 
 
 def _client(settings: BusSettings) -> zenoh.Config:
@@ -146,16 +50,7 @@ def _client(settings: BusSettings) -> zenoh.Config:
             return zenoh.Config.from_file(str(path))
         except zenoh.ZError as e:
             raise ConfigError(f"bus.zenoh_config: {path}: {e}") from None
-    config = _built_in("client", settings)
-    retry = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5}
-    # one attempt is short, because a blocked `zenoh.open` hears no SIGTERM; `_connect` repeats it
-    config["connect"] = {
-        "endpoints": _checked(settings.connect, settings),
-        "timeout_ms": ATTEMPT_MS,
-        "exit_on_failure": True,
-        "retry": retry,
-    }
-    return zenoh.Config.from_json5(json.dumps(config))
+    return zenoh.Config.from_json5(json.dumps(bus_config.client(settings)))
 
 
 class Inbox:
@@ -442,16 +337,6 @@ def free_port() -> int:
         return int(s.getsockname()[1])
 
 
-@dataclass(frozen=True)
-class Secured:
-    """What a secured router lets in: processes and routers known by name, each on its own topics alone."""
-
-    vehicles: tuple[str, ...]
-    """Vehicles that it serves."""
-    routers: tuple[str, ...] = ()
-    """Names of other routers that may pass on what these vehicles say."""
-
-
 @contextmanager
 def router(
     port: int = 0,
@@ -467,7 +352,7 @@ def router(
         port: TCP port on loopback; 0: a free one.
         listen: a whole endpoint instead, such as `tcp/0.0.0.0:7447`.
         settings: lease, shared memory, TLS.
-        secured: mutual TLS with `settings.tls`, everything denied that `common.access` does not allow.
+        secured: whom to let in, by certificate, each on its own topics alone; None: everyone.
         upstream: endpoints of other routers to join, such as the one at the edge; they may come and go.
 
     Raises:
@@ -476,17 +361,7 @@ def router(
     settings = settings or BusSettings()
     protocol = "tls" if settings.tls.wanted else "tcp"
     endpoint = listen or f"{protocol}/127.0.0.1:{port or free_port()}"
-    config = _built_in("router", settings)
-    config["listen"] = {"endpoints": _checked([endpoint], settings)}
-    config["connect"] = {"endpoints": _checked(upstream, settings), "timeout_ms": -1, "exit_on_failure": False}
-    if secured is not None:
-        if not settings.tls.wanted:
-            raise ConfigError("a secured router needs bus.tls: names are told from certificates")
-        try:
-            config["access_control"] = access.access_control(secured.vehicles, secured.routers)
-            config["low_pass_filter"] = access.size_limits(secured.vehicles)
-        except ValueError as e:
-            raise ConfigError(str(e)) from None
+    config = bus_config.router(endpoint, settings, secured, upstream)
     try:
         session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as e:

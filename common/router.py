@@ -1,4 +1,8 @@
-"""The router as a process: `python -m common.router [--listen tcp/0.0.0.0:7447]`."""
+"""The router as a process: `python -m common.router [--listen tcp/0.0.0.0:7447]`.
+
+With `--secure FOLDER` (of `forefield certs`) or the section `[bus.tls]` it speaks mutual TLS alone and lets each
+process onto its own topics only (`common.access`). With `--upstream` it joins another router, such as one at the edge.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +12,44 @@ import sys
 import threading
 from pathlib import Path
 
-from common.bus import router
+import msgspec
+
+from common import config
+from common.bus import BusSettings, router
+from common.bus_config import Secured, TlsSettings
 from common.config import ConfigError
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a Zenoh router until SIGTERM or Ctrl-C."""
     parser = argparse.ArgumentParser(prog="python -m common.router", description=main.__doc__)
-    parser.add_argument("--listen", default="tcp/127.0.0.1:7447", help="endpoint (default %(default)s)")
+    parser.add_argument("--listen", default="", help="endpoint (default tcp/127.0.0.1:7447, secured tls/…)")
     parser.add_argument("--heartbeat", type=Path, help="file to touch every second, for a healthcheck")
+    parser.add_argument("--secure", type=Path, metavar="FOLDER", help="ca.pem, certificate.pem and key.pem; mutual TLS")
+    parser.add_argument(
+        "--vehicle", action="append", metavar="NAME", help="secured: a vehicle to serve (default: as configured)"
+    )
+    parser.add_argument(
+        "--router", action="append", default=[], metavar="NAME",
+        help="secured: let the router with the name router.NAME pass on what these vehicles say",
+    )  # fmt: skip
+    parser.add_argument("--upstream", action="append", default=[], metavar="ENDPOINT", help="another router to join")
     options = parser.parse_args(arguments)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     try:
-        with router(listen=options.listen) as endpoint:
+        tree = config.load()
+        settings = config.section(tree, "bus", BusSettings)
+        if options.secure is not None:
+            settings = msgspec.structs.replace(settings, tls=TlsSettings.of(options.secure))
+        secured = None
+        if settings.tls.wanted:
+            secured = Secured(tuple(options.vehicle or (config.vehicle(tree),)), tuple(options.router))
+        elif options.vehicle or options.router:
+            raise ConfigError("--vehicle and --router say whom a secured router lets in: give --secure FOLDER too")
+        listen = options.listen or f"{'tls' if secured else 'tcp'}/127.0.0.1:7447"
+        with router(listen=listen, settings=settings, secured=secured, upstream=options.upstream) as endpoint:
             print(f"router listens on {endpoint}", flush=True)
             while not stop.wait(1.0):
                 if options.heartbeat:
