@@ -21,7 +21,16 @@ from rich.table import Table
 from common import config
 from common.bus import BusSettings, open_bus
 from common.config import ConfigError, Tree
-from rig import configuration, hazard_commands, health_table, planning_commands, prediction_commands, report, session
+from rig import (
+    certificate_commands,
+    configuration,
+    hazard_commands,
+    health_table,
+    planning_commands,
+    prediction_commands,
+    report,
+    session,
+)
 from rig.exits import exits, say, writable, write
 from rig.screen import progress
 from rig.settings import RigSettings
@@ -39,6 +48,7 @@ app.add_typer(bench, name="bench")
 prediction_commands.register(app, bench)
 hazard_commands.register(app)
 planning_commands.register(app)
+certificate_commands.register(app)
 
 Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
 Sets = Annotated[
