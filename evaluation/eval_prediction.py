@@ -20,7 +20,7 @@ from common.messages import F64, FRAME_S, HISTORY_FRAMES, Map, Method, Objects
 from common.risk import RiskParameters
 from evaluation import prediction_scores as scoring
 from evaluation.ridge import Ridge
-from evaluation.trajectory_windows import Recorded, Recording, Windows, joined, recordings, windows
+from evaluation.trajectory_windows import Recorded, Recording, Windows, gate_is_open, joined, recordings, windows
 from rig.settings import RigSettings
 from rig.sources import load_scenario
 from rig.world import Scenario, Track
@@ -32,7 +32,7 @@ from services.predictor.learned import motion_of
 from services.predictor.map_based import map_based
 from services.predictor.selection import DRIVES_ON_LANES, POLICIES, Known, kinematic_method
 from services.predictor.settings import Policy, PredictorSettings
-from services.predictor.weight_files import SHIPPED, Loaded, WeightsError, load, read_card
+from services.predictor.weight_files import SHARE, SHIPPED, Loaded, WeightsError, load, read_card
 
 NETWORKS = ("lstm", "lstm_no_risk", "lstm_no_attention", "lstm_paper")
 POLICY_METHODS: dict[str, Policy] = {
@@ -259,11 +259,38 @@ def evaluate(
         "policy_default": settings.policy,
         "results": _results(error, data, np.ones(len(data), dtype=bool), repeats),
         "sites": {s: _results(error, data, site == s, repeats) for s in sites},
+        "spread": {
+            s: within_spread(error, data, rows, models)
+            for s, rows in (("pooled", np.ones(len(data), dtype=bool)), *((s, site == s) for s in sites))
+        },
         "per_recording": {
             name: _results(error, data, data.recording == i, min(repeats, 200))
             for i, name in zip(used, _distinct(data, used), strict=True)
         },
     }
+
+
+def within_spread(
+    error: Mapping[str, F64], data: Windows, rows: scoring.Bool, models: Models
+) -> dict[str, dict[str, dict[str, float]]]:
+    """How many positions lie within the spread that a network's card tells, of those that it speaks for and that move.
+
+    By network and horizon: the spread [m], the share within it, and the number of windows.
+    """
+    result: dict[str, dict[str, dict[str, float]]] = {}
+    for name, loaded in models.networks.items():
+        speaks = rows & np.isin(data.cls, [int(c) for c in loaded.classes]) & gate_is_open(data)
+        if loaded.spread is not None and speaks.any():
+            away = error[name][speaks, :, 1]
+            result[name] = {
+                str(k): {
+                    "spread": float(loaded.spread[k - 1]),
+                    "within": float((away[:, h] <= loaded.spread[k - 1]).mean()),
+                    "n": len(away),
+                }
+                for h, k in enumerate(scoring.HORIZONS)
+            }
+    return result
 
 
 def _distinct(data: Windows, used: Sequence[int]) -> list[str]:
@@ -303,6 +330,19 @@ def table(result: Mapping[str, Any], group: str = "vehicle_moving", site: str = 
         ratio = f"{last['ade_ratio']:.3f}/{last['fde_ratio']:.3f}" if last["ade_ratio"] is not None else ""
         ci = last["fde_ratio_ci"]
         out.add_row(method, *cells, ratio, f"{ci[0]:.2f}-{ci[1]:.2f}" if ci else "", f"{last['miss']:.2f}")
+    return out
+
+
+def spread_table(result: Mapping[str, Any]) -> Table:
+    """How many positions lie within the spread of the default network."""
+    name = result["default_network"]
+    out = Table(title=f"{name}: share of positions within its spread, {SHARE:.1%} where it was measured")
+    for column in ("site", "windows", *(f"{k / 10:g} s" for k in scoring.HORIZONS)):
+        out.add_column(column, no_wrap=True)
+    for site, networks in result["spread"].items():
+        if name in networks:
+            by = [networks[name][str(k)] for k in scoring.HORIZONS]
+            out.add_row(site, str(by[0]["n"]), *(f"{b['within']:.0%} in {b['spread']:.1f} m" for b in by))
     return out
 
 

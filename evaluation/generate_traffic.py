@@ -8,12 +8,14 @@ of the front bumper; tables hold the rectangle's centre. A teleport ends a track
 from __future__ import annotations
 
 import gzip
+import io
 import math
 import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -66,7 +68,7 @@ def generate(
     totals = np.zeros(3, dtype=np.int64)
     runs, begin = 0, time.monotonic()
     try:
-        with gzip.open(draft, "wt", encoding="utf-8", compresslevel=4) as table:
+        with _table(draft) as table:
             table.write(",".join(COLUMNS) + "\n")
             for repeat in range(repeats):
                 for network in networks(folder, given_networks(), seed + repeat):
@@ -79,6 +81,17 @@ def generate(
         shutil.rmtree(folder, ignore_errors=True)
         draft.unlink(missing_ok=True)
     return Generated(out, runs, int(totals[0]), int(totals[1]), int(totals[2]))
+
+
+@contextmanager
+def _table(path: Path) -> Iterator[IO[str]]:
+    """A compressed text file without name and time in it: the same traffic gives the same bytes."""
+    with (
+        path.open("wb") as raw,
+        gzip.GzipFile("", "wb", compresslevel=4, fileobj=raw, mtime=0) as packed,
+        io.TextIOWrapper(packed, encoding="utf-8", newline="") as table,
+    ):
+        yield table
 
 
 def _run(

@@ -7,6 +7,8 @@ every fifth recording of each site is. Nothing is trained on held-out windows; t
 
 from __future__ import annotations
 
+import gzip
+import hashlib
 import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +32,7 @@ from services.predictor.kinematic import constant_velocity, estimate
 from services.predictor.learned import motion_of
 from services.predictor.lstm import Architecture
 from services.predictor.settings import PredictorSettings
-from services.predictor.weight_files import CARD, SCHEMA, Loaded, save
+from services.predictor.weight_files import CARD, SCHEMA, SHARE, SPREAD_FRAMES, Loaded, save
 
 GENERATED = "sumo_"
 """How recordings of generated traffic are named."""
@@ -80,6 +82,15 @@ class Data:
     recorded: Windows
     generated: Windows | None
     validation: Windows
+
+
+def digests(files: Sequence[Path]) -> dict[str, str]:
+    """SHA-256 of each table's text, whatever packed it."""
+    found = {}
+    for f in files:
+        with (gzip.open if f.name.endswith(".gz") else open)(f, "rb") as table:
+            found[f.name] = hashlib.file_digest(table, "sha256").hexdigest()
+    return found
 
 
 def read(
@@ -162,7 +173,7 @@ def train(
             **entry,
             "shrink": list(shrink),
             "steps": plan.steps,
-            "held_out": figures(loaded, moving),
+            **figures(loaded, moving),
         }
     card = {
         "schema": SCHEMA,
@@ -203,15 +214,17 @@ def _ridge(data: Data, options: Options) -> Ridge:
 
 
 def figures(loaded: Loaded, data: Windows) -> dict[str, Any]:
-    """ADE and FDE [m] and their ratios to constant velocity on windows of vehicles that move."""
+    """On windows of vehicles that move: ADE and FDE [m], their ratios to constant velocity, and the spread [m]."""
     if not len(data):
-        return {}
+        return {"held_out": {}}
     objects, frames = as_service(data)
     state = estimate(objects, frames, PredictorSettings().kinematic)
     straight = constant_velocity(state)
     motion = motion_of(loaded, data.x, data.y, data.cls, data.length, data.signals, state)
     own, base = (scoring.errors(np.stack((m.x, m.y), axis=-1), data).mean(axis=0) for m in (motion, straight))
-    return {
+    away = np.hypot(motion.x - data.future[..., 0], motion.y - data.future[..., 1])
+    radii = np.quantile(away[:, np.asarray(SPREAD_FRAMES) - 1], SHARE, axis=0)
+    held_out = {
         str(k): {
             "ade": round(float(own[h, 0]), 3),
             "fde": round(float(own[h, 1]), 3),
@@ -220,6 +233,7 @@ def figures(loaded: Loaded, data: Windows) -> dict[str, Any]:
         }
         for h, k in enumerate(scoring.HORIZONS)
     }
+    return {"held_out": held_out, "spread": [round(float(r), 2) for r in radii]}
 
 
 def curve(fitted: Mapping[str, Fitted], path: Path) -> None:

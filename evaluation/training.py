@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from common.messages import F32, F64, FRAME_S, PREDICTION_FRAMES
-from evaluation.trajectory_windows import Windows
+from evaluation.trajectory_windows import Windows, gate_is_open
 from services.predictor import features
 from services.predictor.kinematic import VEHICLES
 from services.predictor.leader import SPEEDS
@@ -93,9 +93,7 @@ def _place(recording: str, site: str) -> str:
 
 def learnable(data: Windows) -> Windows:
     """Windows of the learned classes whose present speed opens the stop gate."""
-    speed = np.hypot(data.x[:, 0] - data.x[:, VELOCITY_STEPS], data.y[:, 0] - data.y[:, VELOCITY_STEPS])
-    moving = speed / (VELOCITY_STEPS * FRAME_S) > features.GATE_MPS[0]
-    return data.take(np.isin(data.cls, LEARNED_CLASSES) & moving)
+    return data.take(np.isin(data.cls, LEARNED_CLASSES) & gate_is_open(data))
 
 
 def augmented(data: Windows, rng: np.random.Generator, options: Options) -> Windows:

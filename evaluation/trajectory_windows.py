@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from common.messages import F32, F64, HISTORY_FRAMES, I64, PREDICTION_FRAMES, U8, ObjectClass
+from common.messages import F32, F64, FRAME_S, HISTORY_FRAMES, I64, PREDICTION_FRAMES, U8, ObjectClass
 from common.risk import RiskParameters
 from rig.sources import tables
 from rig.world import SIZES
+from services.predictor import features
 from services.predictor.signals import SIGNALS, instant_signals
 from services.predictor.surrounding_risk import VELOCITY_STEPS, Scene, backward_velocity
 
@@ -95,6 +96,12 @@ class Windows:
         now = np.stack((self.x[:, 0], self.y[:, 0]), axis=-1)[:, None]
         ahead = np.linalg.norm(np.diff(np.concatenate((now, self.future), axis=1), axis=1), axis=-1).sum(1)
         return np.asarray((past + ahead) / (0.1 * (HISTORY_FRAMES - 1 + self.known)) > 1.0)
+
+
+def gate_is_open(data: Windows) -> npt.NDArray[np.bool_]:
+    """Whose present speed opens the networks' stop gate at all."""
+    speed = np.hypot(data.x[:, 0] - data.x[:, VELOCITY_STEPS], data.y[:, 0] - data.y[:, VELOCITY_STEPS])
+    return np.asarray(speed / (VELOCITY_STEPS * FRAME_S) > features.GATE_MPS[0])
 
 
 def joined(parts: Sequence[Windows]) -> Windows:

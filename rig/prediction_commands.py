@@ -101,7 +101,8 @@ def train_predictor(
         about = {
             "command": f"forefield train predictor --tracks {' '.join(f.name for f in files)} --networks {networks} "
             f"--hidden {hidden} --steps {steps} --seed {seed} --stride {stride} --recorded-share {recorded_share} "
-            f"--shrink {shrink[0]} {shrink[1]}{''.join(f' --hold-out {s}' for s in hold_out or ())}"
+            f"--shrink {shrink[0]} {shrink[1]}{''.join(f' --hold-out {s}' for s in hold_out or ())} --out DIR",
+            "tables": training.digests(files),
         }
 
         def told(name: str, step: int, total: int, loss: float, held: float, to_go: float) -> None:
@@ -165,6 +166,7 @@ def eval_prediction(
         for site in result["sites"] if len(result["sites"]) > 1 else []:
             console.print(measuring.table(result, group, site))
         console.print(measuring.table(result, group))
+        console.print(measuring.spread_table(result))
 
 
 def eval_ablation(

@@ -10,9 +10,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from common.geometry import wrap_angle
 from common.messages import (
+    F32,
     F64,
     FRAME_S,
     HISTORY_FRAMES,
@@ -26,6 +28,7 @@ from common.messages import (
     Stamped,
 )
 from services.predictor.blend import lane_path_network_speed
+from services.predictor.features import gate
 from services.predictor.history import Bool, Frames, Tracks, frames, observe
 from services.predictor.kinematic import Motion, State, constant_velocity, ctra, estimate
 from services.predictor.lanes import LaneIndex, Match
@@ -76,7 +79,15 @@ class Predictor:
         choice = choose(settings.policy, known, self._learned is not None)
         self.detail = _detail(settings.policy, choice)
         motion = self._predict(seen, history, state, match, choice)
-        return _prediction(seen, state, history, motion, choice, settings.past_frames)
+        prediction = _prediction(seen, state, history, motion, choice, settings.past_frames)
+        return replace(prediction, sigma=self._sigma(state, choice)) if settings.learned.spread else prediction
+
+    def _sigma(self, state: State, choice: Choice) -> F32 | None:
+        """Spread of every object at the 60 frames [m]; 0 where none is known: other methods, and what stands."""
+        if self._learned is None or self._learned.spread is None:
+            return None
+        moving = (choice.method == Method.LSTM) & (gate(np.hypot(state.vx, state.vy)) > 0)
+        return np.asarray(moving[:, None] * self._learned.spread, dtype=np.float32)
 
     def _match(self, objects: Objects, state: State, map: Map | None) -> tuple[Match | None, Bool]:
         if map is not self._map:

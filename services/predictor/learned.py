@@ -55,6 +55,7 @@ class LearnedPredictor:
         self.name = loaded.name
         self.classes: Bool = np.isin(np.arange(len(ObjectClass)), [int(c) for c in loaded.classes])
         """By class: whether the network speaks for it."""
+        self.spread = loaded.spread
         self._risk = risk
         self._samples: signals.Samples = ()
 

@@ -18,7 +18,7 @@ from typing import Protocol
 
 import numpy as np
 
-from common.messages import HISTORY_FRAMES, U8, Ego, Method, ObjectClass, Objects, Stamped
+from common.messages import F64, HISTORY_FRAMES, U8, Ego, Method, ObjectClass, Objects, Stamped
 from services.predictor.history import Bool, Frames
 from services.predictor.kinematic import VEHICLES, Motion, State
 from services.predictor.settings import Policy
@@ -33,6 +33,8 @@ class Learned(Protocol):
     name: str
     classes: Bool
     """By class: whether it may be used."""
+    spread: F64 | None
+    """Radius within which positions lie, by frame [m], shape [60] (`weight_files`); None: not known."""
 
     def observe(self, objects: Objects, frames: Frames, ego: Stamped[Ego] | None, capture_ns: int) -> None:
         """See every message, also where nothing is to be predicted."""

@@ -77,6 +77,9 @@ class MapSettings(Settings, frozen=True, kw_only=True):
     swerve_max: Positive = 1e3
     """An object whose turn rate differs by more from what the lane's curve asks for leaves the lane [rad/s]; as set:
     the turn rate alone never says so."""
+    swerve_scale: Positive = 0.2
+    """A turn rate that differs by so much from what a lane asks for counts, in the choice of the lane, as much as
+    half a lane's width beside it [rad/s]. Large: position and direction alone choose, as the turn rate comes late."""
     margin_m: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.5
     """How far outside its lane an object's centre may be and still follow it [m]."""
     lateral_mps2: Positive = 3.0
@@ -98,6 +101,8 @@ class LearnedSettings(Settings, frozen=True, kw_only=True):
     """Folder of weights with its `model.json`; empty: the shipped ones."""
     network: Annotated[str, Meta(max_length=64)] = ""
     """Its name in the card, such as `lstm_paper`; empty: the card's default."""
+    spread: bool = False
+    """Whether predictions tell their spread, where the card of the weights has one; 0 for all other methods."""
 
 
 class PredictorSettings(Settings, frozen=True, kw_only=True):

@@ -14,12 +14,13 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 
-from common.messages import ObjectClass
+from common.messages import F64, PREDICTION_FRAMES, ObjectClass
 from services.predictor.lstm import Architecture, Network
 
 CARD = "model.json"
@@ -28,6 +29,10 @@ SCHEMA = 1
 BYTES_MAX = 16 * 2**20
 """Largest file that is read [bytes]."""
 HIDDEN_MAX = 1024
+SHARE = 0.683
+"""Share of positions within the spread."""
+SPREAD_FRAMES = tuple(range(5, PREDICTION_FRAMES + 1, 5))
+"""Frames at which the card gives the spread; linear between them, from 0 now."""
 
 
 class WeightsError(ValueError):
@@ -44,6 +49,8 @@ class Loaded:
     """The deviation from constant velocity is taken times this, slow and fast (`features.shrinkage`)."""
     classes: frozenset[ObjectClass]
     """The class rule: who may be predicted with it."""
+    spread: F64 | None = None
+    """Radius about the predicted position [m] that held `SHARE` of the held-out recordings' positions, shape [60]."""
 
 
 def read_card(folder: Path) -> dict[str, Any]:
@@ -78,13 +85,14 @@ def load(folder: Path, name: str = "") -> Loaded:
         file, expected = folder / Path(str(entry["file"])).name, str(entry["sha256"])
         slow, fast = (float(s) for s in entry["shrink"])
         classes = frozenset(ObjectClass[str(c).upper()] for c in card["classes"])
+        spread = _spread(entry.get("spread"))
     except (KeyError, TypeError, ValueError) as e:
         raise WeightsError(f"{folder / CARD}: {name}: {type(e).__name__}: {e}") from None
     if not (0.0 <= slow <= 1.0 and 0.0 <= fast <= 1.0):
         raise WeightsError(f"{folder / CARD}: {name}: shrink {slow}, {fast}")
     network = Network(architecture)
     network.load_state_dict(_checked(file, expected, network))
-    return Loaded(name, network.eval().requires_grad_(False), (slow, fast), classes)
+    return Loaded(name, network.eval().requires_grad_(False), (slow, fast), classes, spread)
 
 
 def save(folder: Path, name: str, network: Network) -> dict[str, Any]:
@@ -101,6 +109,16 @@ def save(folder: Path, name: str, network: Network) -> dict[str, Any]:
         "bytes": len(data),
         "architecture": network.architecture.as_dict(),
     }
+
+
+def _spread(radii: object) -> F64 | None:
+    """Radius at each frame from the card's values at `SPREAD_FRAMES`; None where it has none."""
+    if radii is None:
+        return None
+    known = np.asarray(radii, dtype=np.float64)
+    if known.shape != (len(SPREAD_FRAMES),) or not (np.isfinite(known).all() and (known >= 0).all()):
+        raise ValueError(f"a spread of {radii}")
+    return np.asarray(np.interp(np.arange(1, PREDICTION_FRAMES + 1), (0, *SPREAD_FRAMES), (0.0, *known)))
 
 
 def _architecture(values: Mapping[str, Any]) -> Architecture:

@@ -65,6 +65,9 @@ def test_the_command_writes_the_agreed_json(weights, tmp_path):
         assert groups["vehicle_moving"]["60"]["n"] > 0 and groups["cycle_moving"]["60"]["n"] == 0
     assert set(result["per_recording"]) == {"u0", "u1", "u2"} and set(result["sites"]) == {"unseen"}
     assert picture.stat().st_size > 1000
+    assert set(result["spread"]) == {"pooled", "unseen"}
+    for horizon in result["spread"]["unseen"]["lstm"].values():
+        assert 0 <= horizon["within"] <= 1 and horizon["n"] > 0 and horizon["spread"] > 0
 
 
 @pytest.mark.parametrize(

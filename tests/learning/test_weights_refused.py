@@ -132,6 +132,26 @@ def test_good_weights_are_used_from_thirty_frames_on_and_only_for_their_classes(
     assert methods[28] == Method.CONSTANT_VELOCITY and methods[30] == Method.LSTM
 
 
+def test_a_spread_is_told_only_when_asked_and_only_of_learned_predictions(folder):
+    write(folder, {**entry_of(folder), "spread": [0.1 * k for k in range(1, 13)]})
+    for asked in (False, True):
+        settings = PredictorSettings(policy="learned-first", learned=LearnedSettings(weights=str(folder), spread=asked))
+        predictor = Predictor(settings, RiskParameters(), load_learned(settings, RiskParameters())[0])
+        told = [predictor.step(objects(k), None, None).sigma for k in range(32)]
+        if not asked:
+            assert told == [None] * 32
+            continue
+        assert not told[10].any()
+        np.testing.assert_allclose(told[31][0], 0.02 * np.arange(1, 61), rtol=1e-5)
+
+
+@pytest.mark.parametrize("spread", [[1.0], "wide", [float("nan")] * 12, [-1.0] * 12])
+def test_a_spread_that_is_none_is_refused(folder, spread):
+    write(folder, {**entry_of(folder), "spread": spread})
+    with pytest.raises(WeightsError, match="lstm"):
+        load(folder)
+
+
 def test_the_shipped_weights_are_small_whole_and_of_open_data():
     card = read_card(SHIPPED)
     for name in card["networks"]:

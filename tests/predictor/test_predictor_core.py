@@ -169,6 +169,7 @@ def test_a_learned_predictor_is_asked_where_the_policy_wants_it():
     class Still:
         name = "still"
         classes = np.ones(7, dtype=bool)
+        spread = None
 
         def observe(self, objects, frames, ego, capture_ns):
             pass
