@@ -34,7 +34,6 @@ from services.predictor.selection import DRIVES_ON_LANES, POLICIES, Known, kinem
 from services.predictor.settings import Policy, PredictorSettings
 from services.predictor.weight_files import SHARE, SHIPPED, Loaded, WeightsError, load, read_card
 
-NETWORKS = ("lstm", "lstm_no_risk", "lstm_no_attention", "lstm_paper")
 POLICY_METHODS: dict[str, Policy] = {
     "policy_paper": "paper",
     "policy_learned_first": "learned-first",
@@ -191,7 +190,7 @@ def _predicted(data: Windows, map: Map | None, models: Models, settings: Predict
     if map is not None:
         learned = motions[models.default]
         if on_lane.any():
-            part = lane_path_network_speed(state.take(on_lane), _part(followed, on_lane), _part(learned, on_lane))
+            part = lane_path_network_speed(state.take(on_lane), followed.take(on_lane), learned.take(on_lane))
             learned = _with(learned, part, on_lane)
         motions["lstm_on_lanes"] = learned
     on_lanes = {**by_method, Method.LSTM: motions.get("lstm_on_lanes", motions[models.default])}
@@ -211,18 +210,12 @@ def _with(base: Motion, part: Motion, rows: scoring.Bool) -> Motion:
     return merged
 
 
-def _part(motion: Motion, rows: scoring.Bool) -> Motion:
-    return Motion(motion.x[rows], motion.y[rows], motion.heading[rows], motion.speed[rows])
-
-
 def _composed(method: np.ndarray[Any, np.dtype[np.uint8]], by_method: Mapping[Method, Motion]) -> Motion:
     result = by_method[Method.CONSTANT_VELOCITY]
     for m, motion in by_method.items():
         rows = method == m
         if rows.any():
-            result = _with(
-                result, Motion(motion.x[rows], motion.y[rows], motion.heading[rows], motion.speed[rows]), rows
-            )
+            result = _with(result, motion.take(rows), rows)
     return result
 
 

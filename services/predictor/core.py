@@ -119,17 +119,13 @@ class Predictor:
             if self.settings.policy == "learned-on-lanes" and match is not None and self._lanes is not None:
                 rows &= (match.lane >= 0) & DRIVES_ON_LANES[objects.cls]
                 if rows.any():
-                    _put(motion, rows, self._on_lanes(state.take(rows), match.take(rows), _part(motion, rows)))
+                    _put(motion, rows, self._on_lanes(state.take(rows), match.take(rows), motion.take(rows)))
         return motion
 
     def _on_lanes(self, state: State, match: Match, learned: Motion) -> Motion:
         assert self._lanes is not None
         mapped = map_based(state, match, self._lanes, self.settings.map, self.settings.kinematic)
         return lane_path_network_speed(state, mapped, learned)
-
-
-def _part(motion: Motion, rows: Bool) -> Motion:
-    return Motion(motion.x[rows], motion.y[rows], motion.heading[rows], motion.speed[rows])
 
 
 def _put(motion: Motion, rows: Bool, part: Motion) -> None:

@@ -58,6 +58,10 @@ class Motion:
     heading: F64  # body yaw [rad], continuous
     speed: F64  # ≥ 0 [m/s]
 
+    def take(self, rows: Bool) -> Motion:
+        """The chosen objects alone."""
+        return Motion(self.x[rows], self.y[rows], self.heading[rows], self.speed[rows])
+
 
 def estimate(objects: Objects, frames: Frames, settings: KinematicSettings) -> State:
     """Current motion of the objects, from their histories.

@@ -37,7 +37,7 @@ SAME_WAY = 0.85
 
 
 def leader_signals(scene: Scene, targets: int) -> F32:
-    """The four signals of the first `targets` road users."""
+    """The signals of the first `targets` road users."""
     signals = np.zeros((targets, LEADER_SIGNALS), dtype=np.float32)
     if targets == 0 or len(scene.x) < 2:
         return signals
