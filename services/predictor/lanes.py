@@ -111,7 +111,8 @@ class LaneIndex:
     def match(self, state: State, settings: MapSettings) -> Match:
         """The lane that fits each object's position, direction and turn rate best.
 
-        Cost of a piece: (d / half width)² + (Δψ / 0.3)² + ((ω − v κ) / 0.2)², the last for what moves.
+        Cost of a piece: (d / half width)² + (Δψ / 0.3)² + ((ω − v κ) / `swerve_scale`)², the last for what
+        moves.
         """
         n = len(state.x)
         result = Match(np.full(n, -1, dtype=np.int64), np.zeros(n), np.zeros(n), np.zeros(n))
@@ -130,7 +131,7 @@ class LaneIndex:
         follows = (np.abs(off) <= settings.heading_tolerance) & (np.abs(swerve) <= settings.swerve_max)
         ok = np.flatnonzero((distance <= half + settings.margin_m) & follows)
         obj, piece, u, off, swerve = obj[ok], piece[ok], u[ok], off[ok], swerve[ok]
-        cost = (distance[ok] / half[ok]) ** 2 + (off / 0.3) ** 2 + (swerve / 0.2) ** 2
+        cost = (distance[ok] / half[ok]) ** 2 + (off / 0.3) ** 2 + (swerve / settings.swerve_scale) ** 2
         order = np.lexsort((piece, cost, obj))
         best = order[_first(obj[order])]
         result.lane[obj[best]] = self._plane[piece[best]]
