@@ -6,8 +6,10 @@ accepted). A new input starts with all three down: it fails closed.
 
 from __future__ import annotations
 
+import bisect
 import threading
 from collections import Counter, deque
+from itertools import accumulate
 
 import numpy as np
 
@@ -17,6 +19,10 @@ from common.topics import Topic
 
 RATE_WINDOW = 20
 WORK_WINDOW = 600
+WORK_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
+"""Upper ends of the buckets in which the work of all messages is counted [s]."""
+DEADLINE = "deadline:missed"
+"""Counter of results that came later than a period after they were due."""
 STALL_S = 2.5
 """A loop that has not turned for this long gets no heartbeat [s]."""
 
@@ -89,6 +95,8 @@ class Health:
         self._state: State = "starting"
         self._reason = "starting"
         self._work: deque[float] = deque(maxlen=WORK_WINDOW)
+        self._work_counts = [0] * (len(WORK_BUCKETS_S) + 1)
+        self._work_sum_s = 0.0
         self._lock = threading.Lock()
 
     def input(self, topic: Topic) -> InputMonitor:
@@ -116,6 +124,8 @@ class Health:
         """One message took this long from arrival to put [ns]."""
         with self._lock:
             self._work.append(work_ns * 1e-6)
+            self._work_counts[bisect.bisect_left(WORK_BUCKETS_S, work_ns * 1e-9)] += 1
+            self._work_sum_s += work_ns * 1e-9
 
     @property
     def state(self) -> State:
@@ -131,6 +141,12 @@ class Health:
     def turning(self) -> bool:
         """Whether the loop turns, or the service is still starting."""
         return self._state == "starting" or (self._clock() - self._turned_ns) * 1e-9 < STALL_S
+
+    def work_histogram(self) -> tuple[list[tuple[str, float]], float]:
+        """Work of all messages since the start: (upper end [s], how many up to it), last `+Inf`; and the sum [s]."""
+        with self._lock:
+            ends = [*map(str, WORK_BUCKETS_S), "+Inf"]
+            return [(e, float(n)) for e, n in zip(ends, accumulate(self._work_counts), strict=True)], self._work_sum_s
 
     def status(self) -> Status:
         """The status message of this moment."""

@@ -9,7 +9,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
 
+from msgspec import Meta
+
+from common import logs, metrics
 from common.bus import Bus, Publisher
 from common.clock import monotonic
 from common.config import Settings
@@ -29,13 +33,20 @@ class ServiceSettings(Settings, frozen=True):
     status_hz: float = 2.0
     """Rate of the status message [Hz]."""
     log_level: str = "INFO"
+    log_format: logs.Format = "auto"
+    """`auto`: colours on a terminal, plain lines elsewhere; `json` for machines (images set it), `text`, `pretty`."""
+    metrics_port: Annotated[int, Meta(ge=0, le=65000)] = 0
+    """First port of the metrics for Prometheus (`common.metrics` says whose is which); 0: none."""
+    metrics_address: str = "127.0.0.1"
+    """Where the metrics are served; anything else opens them to the network."""
 
 
 class Ending:
-    """Set by SIGTERM and Ctrl-C; wakes the bus, and ends the process at the deadline if anything hangs."""
+    """Set by SIGTERM and Ctrl-C; wakes the bus, and ends the process at the deadline [s] if anything hangs."""
 
-    def __init__(self) -> None:
+    def __init__(self, deadline_s: float = EXIT_DEADLINE_S) -> None:
         self.stop = threading.Event()
+        self._deadline_s = deadline_s
         self._wake: list[Bus] = []
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._end)
@@ -48,24 +59,30 @@ class Ending:
         self.stop.set()
         for bus in self._wake:
             bus.interrupt()
-        leave = threading.Timer(EXIT_DEADLINE_S, _leave)
+        leave = threading.Timer(self._deadline_s, _leave, (self._deadline_s,))
         leave.daemon = True
         leave.start()
 
 
-def _leave() -> None:
-    log.error("still busy %.1f s after being asked to stop: leaving", EXIT_DEADLINE_S)
+def _leave(deadline_s: float) -> None:
+    log.error("still busy %.1f s after being asked to stop: leaving", deadline_s)
     os._exit(0)
 
 
 @contextmanager
 def reporting(health: Health, status: Publisher, settings: ServiceSettings) -> Iterator[None]:
-    """Send the status and touch the heartbeat from a thread of its own, so that long steps do not silence them."""
+    """Send the status and touch the heartbeat from a thread of its own, so that long steps do not silence them.
+
+    Raises:
+        ConfigError: the metrics cannot be served.
+    """
     stop = threading.Event()
     thread = threading.Thread(target=_report, args=(health, status, settings, stop), daemon=True)
     thread.start()
+    service = status.topic.suffix.rpartition("/")[2]
     try:
-        yield
+        with metrics.serving(health, service, settings.metrics_port, settings.metrics_address):
+            yield
         if health.state != "stopping":
             health.say("stopping", "asked to stop")
     except BaseException as e:

@@ -18,12 +18,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from common import config
+from common import config, logs
 from common.bus import Bus, BusSettings, Inbox, NoRouterError, Publisher, open_bus
 from common.clock import monotonic
 from common.codec import RefusedError
 from common.config import ConfigError, Tree
-from common.health import Health
+from common.health import DEADLINE, Health
 from common.messages import Cause, Message, Stamped, State
 from common.process import Ending, ServiceSettings, reporting
 from common.topics import STATUS_OF, Topic
@@ -76,6 +76,8 @@ class Inputs:
 
 
 Step = Callable[[Inputs], Output | Idle]
+Send = Callable[[Output, int], None]
+"""Takes a result, and when it was wanted: when its input arrived or its time had come, whichever was first [ns]."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +104,7 @@ def main(service: Service) -> int:
     try:
         tree = config.load()
         settings = config.section(tree, "service", ServiceSettings)
-        logging.basicConfig(
-            level=settings.log_level, stream=sys.stderr, format=f"%(asctime)s {service.name} %(levelname)s %(message)s"
-        )
+        logs.begin(service.name, settings.log_level, settings.log_format)
         return run(service, tree, settings)
     except NoRouterError as e:
         log.info("stopped: %s", e)
@@ -121,6 +121,7 @@ def run(service: Service, tree: Tree, settings: ServiceSettings) -> int:
     bus_settings = config.section(tree, "bus", BusSettings)
     with open_bus(bus_settings, config.vehicle(tree), service.name, health=health, stop=ending.stop) as bus:
         ending.wakes(bus)
+        logs.about(vehicle=bus.vehicle, boot=bus.boot)
         inboxes = {t.suffix: bus.inbox(t) for t in service.subscribes}
         output = bus.publisher(service.publishes)
         bus.liveliness(service.name)
@@ -154,12 +155,13 @@ def _loop(
                 continue
             # counted from now, not from when it was due: a late turn is not followed by a burst
             triggered = service.trigger.suffix in new
+            wanted_ns = now if triggered else due_ns
             due_ns = now + round((service.period_s + (service.grace_s if triggered else 0.0)) * 1e9)
             inputs = Inputs(inboxes, now, frozenset(new))
             new = set()
             result = _step(health, step, inputs)
             if isinstance(result, Output):
-                send(result)
+                send(result, min(wanted_ns, result.arrived_ns))
             else:
                 _say(health, result)
 
@@ -176,29 +178,38 @@ def _step(health: Health, step: Step, inputs: Inputs) -> Output | Idle:
 
 
 @contextmanager
-def _sender(service: Service, health: Health, output: Publisher) -> Iterator[Callable[[Output], None]]:
+def _sender(service: Service, health: Health, output: Publisher) -> Iterator[Send]:
     """How results leave: at once, or from a thread of their own while the next step runs; never two under way."""
     if not service.sends_aside:
-        yield lambda result: _send(service, health, output, result)
+        yield lambda result, wanted_ns: _send(service, health, output, result, wanted_ns)
         return
     pending: list[Future[None]] = []
     with ThreadPoolExecutor(1, "send") as pool:
 
-        def send(result: Output) -> None:
+        def send(result: Output, wanted_ns: int) -> None:
             while pending:
                 pending.pop().result()
-            pending.append(pool.submit(_send, service, health, output, result))
+            pending.append(pool.submit(_send, service, health, output, result, wanted_ns))
 
         yield send
 
 
-def _send(service: Service, health: Health, output: Publisher, result: Output) -> None:
+def _send(service: Service, health: Health, output: Publisher, result: Output, wanted_ns: int) -> None:
     suffix = service.publishes.suffix
     try:
-        output.put(result.message, capture_ns=result.capture_ns, cause=result.cause, arrived_ns=result.arrived_ns)
+        sent = output.put(
+            result.message, capture_ns=result.capture_ns, cause=result.cause, arrived_ns=result.arrived_ns
+        )
         health.worked(output.last_work_ns)
         health.count(f"{suffix}:sent")
-        _say(health, result)
+        if (monotonic() - wanted_ns) * 1e-9 > service.period_s:
+            health.count(DEADLINE)
+        _say(
+            health,
+            result,
+            seq=sent.seq,
+            cause=None if result.cause is None else f"{result.cause.boot}:{result.cause.seq}",
+        )
     except RefusedError as e:
         health.count(f"{suffix}:not_sent_{e.reason}")
         _say(health, _failed(health, f"own {suffix} broke its contract: {e}"))
@@ -213,11 +224,11 @@ def _failed(health: Health, reason: str) -> Idle:
     return Idle(reason, "degraded")
 
 
-def _say(health: Health, result: Output | Idle) -> None:
+def _say(health: Health, result: Output | Idle, **about: Any) -> None:
     before = health.state, _numberless(health.reason)
     health.say(result.state, result.reason)
     if before != (result.state, _numberless(result.reason)):
-        log.info("%s: %s", result.state, result.reason)
+        log.info("%s: %s", result.state, result.reason, extra=about)
 
 
 def _numberless(reason: str) -> str:

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from common import config, topics
+from common import config, logs, topics
 from common.bus import Bus, BusSettings, Inbox, NoRouterError, open_bus
 from common.clock import monotonic
 from common.config import ConfigError, Tree
@@ -47,9 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
         given = {k: v for k in ("record", "serve", "scenario") if (v := getattr(options, k)) is not None}
         tree = {**tree, "viz": {**tree.get("viz", {}), **given}}
         settings = config.section(tree, "viz", VizSettings)
-        logging.basicConfig(
-            level=service.log_level, stream=sys.stderr, format="%(asctime)s viz %(levelname)s %(message)s"
-        )
+        logs.begin("viz", service.log_level, service.log_format)
         return run(tree, service, settings)
     except NoRouterError as e:
         log.info("stopped: %s", e)
@@ -66,6 +64,7 @@ def run(tree: Tree, service: ServiceSettings, settings: VizSettings) -> int:
     bus_settings = config.section(tree, "bus", BusSettings)
     with open_bus(bus_settings, config.vehicle(tree), "viz", health=health, stop=ending.stop) as bus:
         ending.wakes(bus)
+        logs.about(vehicle=bus.vehicle, boot=bus.boot)
         bus.liveliness("viz")
         with (
             reporting(health, bus.publisher(topics.STATUS_OF["viz"]), service),

@@ -93,6 +93,16 @@ def test_its_own_broken_message_is_counted_and_not_sent(toy: Toy) -> None:
     assert toy.prediction.take() is None
 
 
+def test_a_result_later_than_a_period_is_a_deadline_missed(toy: Toy) -> None:
+    def counted() -> Status | None:
+        toy.send(-4.0)
+        status = toy.status()
+        return status if status is not None and status.counters.get("deadline:missed") else None
+
+    status = until(counted, every_s=0.3, what="the count")
+    assert status.counters["deadline:missed"] <= status.counters["prediction:sent"]
+
+
 def test_a_fatal_error_ends_the_process_with_code_1(toy: Toy) -> None:
     toy.send(-3.0)
     assert toy.process.wait(10) == 1

@@ -1,9 +1,12 @@
 """A service as small as can be, to test the loop that every service runs: it answers objects with a prediction.
 
-What it does with a message hangs on the first object's x: −1 raises, −2 breaks its own contract, −3 is fatal.
+What it does with a message hangs on the first object's x: −1 raises, −2 breaks its own contract, −3 is fatal, −4 takes
+four periods.
 """
 
 from __future__ import annotations
+
+import time
 
 import numpy as np
 
@@ -12,6 +15,8 @@ from common.config import Tree
 from common.health import Health
 from common.service import FatalError, Idle, Inputs, Output, Service, Step, main
 from tests import samples
+
+PERIOD_S = 0.05
 
 
 def build(tree: Tree, health: Health) -> Step:
@@ -26,6 +31,8 @@ def build(tree: Tree, health: Health) -> Step:
             raise KeyError("as asked")
         if code == -3:
             raise FatalError("as asked")
+        if code == -4:
+            time.sleep(4 * PERIOD_S)
         x0 = np.full(3, np.nan if code == -2 else code)
         prediction = samples.prediction(x0=x0)
         return Output(prediction, objects.capture_ns, objects.descent(), objects.received_ns)
@@ -35,5 +42,5 @@ def build(tree: Tree, health: Health) -> Step:
 
 if __name__ == "__main__":
     raise SystemExit(
-        main(Service("predictor", (topics.OBJECTS, topics.MAP), topics.PREDICTION, topics.OBJECTS, 0.05, build))
+        main(Service("predictor", (topics.OBJECTS, topics.MAP), topics.PREDICTION, topics.OBJECTS, PERIOD_S, build))
     )
