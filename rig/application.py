@@ -29,6 +29,7 @@ from rig import (
     planning_commands,
     prediction_commands,
     report,
+    review_commands,
     session,
 )
 from rig.exits import exits, say, writable, write
@@ -47,6 +48,7 @@ bench = typer.Typer(help="Benchmarks, each with a JSON result.", no_args_is_help
 app.add_typer(bench, name="bench")
 prediction_commands.register(app, bench)
 hazard_commands.register(app)
+review_commands.register(app)
 planning_commands.register(app)
 certificate_commands.register(app)
 

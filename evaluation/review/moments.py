@@ -15,8 +15,6 @@ import numpy as np
 from common.messages import F64, U8
 from evaluation.review.tables import TIME, chunks
 
-NEAR_S = 0.35
-"""A drawing this far from the moment still shows it [s]."""
 _ENTITIES = {
     "/world/risk/now": "now",
     "/slice/risk": "slice",
@@ -27,8 +25,8 @@ _ENTITIES = {
     "/world/plan/candidates": "candidates",
     "/world/plan/decided": "decided",
 }
-_ANCHOR = "profile"
-"""Drawn with every plan: the moment itself."""
+_ANCHOR = "/world/plan/profile"
+"""Drawn with every plan that is drawn."""
 
 
 @dataclass(frozen=True)
@@ -65,22 +63,32 @@ class Moment:
     decided: tuple[float, float] | None = None
 
 
-def moments(path: Path, wanted: Sequence[float]) -> list[Moment]:
-    """What was drawn at each wanted time of the recording [s].
+def drawn_at(path: Path) -> F64:
+    """When plans were drawn, increasing [s] of the recording.
 
     Raises:
         ReviewError: see `tables.chunks`.
     """
-    if not wanted:
+    at = [_ns(c.to_record_batch()) for c in chunks(path, [_ANCHOR]) if not c.is_static]
+    return np.unique(np.concatenate(at)) * 1e-9 if at else np.zeros(0)
+
+
+def moments(path: Path, wanted: Sequence[float]) -> list[Moment]:
+    """What stood in the picture at each wanted time of the recording [s].
+
+    Raises:
+        ReviewError: see `tables.chunks`.
+    """
+    if not len(wanted):
         return []
-    drawn = _nearest_drawings(path, np.asarray(wanted, dtype=np.float64))
+    ns = np.rint(np.asarray(wanted, dtype=np.float64) * 1e9).astype(np.int64) + 1000  # less than any two rows apart
     best: list[dict[str, tuple[int, Any]]] = [{} for _ in wanted]
     for chunk in chunks(path, list(_ENTITIES)):
         if chunk.is_static:
             continue
         name, batch = _ENTITIES[chunk.entity_path], chunk.to_record_batch()
         at = _ns(batch)
-        for k, t in enumerate(drawn):
+        for k, t in enumerate(ns):
             upto = np.flatnonzero(at <= t)
             if not len(upto):
                 continue
@@ -88,26 +96,13 @@ def moments(path: Path, wanted: Sequence[float]) -> list[Moment]:
             if name not in best[k] or at[i] >= best[k][name][0]:
                 best[k][name] = (int(at[i]), _value(name, batch, i))
     return [
-        Moment(float(t) * 1e-9, **{name: v for name, (_, v) in rows.items() if v is not None})
-        for t, rows in zip(drawn, best, strict=True)
+        Moment(float(t), **{name: v for name, (_, v) in rows.items() if v is not None})
+        for t, rows in zip(wanted, best, strict=True)
     ]
 
 
 def _ns(batch: Any) -> np.ndarray:
     return np.asarray(batch.column(TIME).cast("int64").to_numpy(zero_copy_only=False))
-
-
-def _nearest_drawings(path: Path, wanted: F64) -> np.ndarray:
-    """When the plan nearest to each wanted time was drawn [ns]; the wanted time itself where none is near."""
-    anchor = next(entity for entity, name in _ENTITIES.items() if name == _ANCHOR)
-    at = [_ns(c.to_record_batch()) for c in chunks(path, [anchor]) if not c.is_static]
-    times = np.sort(np.concatenate(at)) if at else np.zeros(0, dtype=np.int64)
-    ns = np.rint(wanted * 1e9).astype(np.int64)
-    for k, t in enumerate(ns):
-        if len(times):
-            nearest = times[int(np.argmin(np.abs(times - t)))]
-            ns[k] = nearest if abs(int(nearest) - int(t)) <= NEAR_S * 1e9 else t
-    return ns
 
 
 def _value(name: str, batch: Any, i: int) -> Any:
