@@ -17,6 +17,8 @@ from common.config import ConfigError, Settings
 
 ATTEMPT_MS = 500
 """How long one attempt to reach the router may take [ms]."""
+RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5}
+"""When a link is tried again."""
 
 
 class TlsSettings(Settings, frozen=True):
@@ -130,13 +132,12 @@ def client(settings: BusSettings) -> dict[str, Any]:
     """
     endpoints = _checked(settings.connect, settings)
     config = _built_in("client", settings)
-    retry = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5}
     # one attempt is short, because a blocked `zenoh.open` hears no SIGTERM; the bus repeats it
     config["connect"] = {
         "endpoints": endpoints,
         "timeout_ms": ATTEMPT_MS,
         "exit_on_failure": True,
-        "retry": retry,
+        "retry": RETRY,
     }
     return config
 
@@ -158,7 +159,7 @@ def router(
     listen, connect = _checked([endpoint], settings), _checked(upstream, settings)
     config = _built_in("router", settings)
     config["listen"] = {"endpoints": listen}
-    config["connect"] = {"endpoints": connect, "timeout_ms": -1, "exit_on_failure": False}
+    config["connect"] = {"endpoints": connect, "timeout_ms": -1, "exit_on_failure": False, "retry": RETRY}
     if secured is not None:
         if not settings.tls.wanted:
             raise ConfigError("a secured router needs bus.tls: names are told from certificates")
