@@ -28,6 +28,8 @@ class Bounds:
     """Where a standing car's potential reaches the contact threshold [m]."""
     gap: float
     """Kept to what stands ahead [m]."""
+    contact: float
+    """Risk from which the planner takes it for contact [E_max]."""
 
 
 def bounds(configuration: dict[str, Any]) -> Bounds:
@@ -35,14 +37,15 @@ def bounds(configuration: dict[str, Any]) -> Bounds:
     planner = _section(configuration, "planner", PlannerSettings)
     risk = _section(configuration, "risk", RiskParameters)
     A = risk.k * risk.r_a * float(virtual_mass(0.0, int(ObjectClass.CAR), 0.0, risk))
-    contact = max(A / planner.r_hit - A / risk.e_max, 0.0) ** (1.0 / risk.k1)  # pE(D) = r_hit
+    near = max(A / planner.r_hit - A / risk.e_max, 0.0) ** (1.0 / risk.k1)  # pE(D) = r_hit
     return Bounds(
         accel=planner.accel,
         brake=planner.tier_brake[0],
         lateral=planner.lateral_accel,
         jerk=planner.jerk,
-        clearance=contact,
+        clearance=near,
         gap=planner.gap,
+        contact=planner.r_hit,
     )
 
 

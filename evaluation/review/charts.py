@@ -58,7 +58,7 @@ def timeline(recording: Recording, drive: Drive, bounds: Bounds) -> Figure:
     _states(axes[0], recording, drive, services)
     _speed(axes[1], recording, drive)
     _comfort(axes[2], axes[3], drive, bounds)
-    _risk(axes[4], drive)
+    _risk(axes[4], drive, bounds)
     _clearance(axes[5], drive, bounds)
     for ax in axes[1:]:
         ax.grid(axis="y", alpha=0.25, lw=0.5)
@@ -149,19 +149,26 @@ def _comfort(ax: Any, below: Any, drive: Drive, bounds: Bounds) -> None:
         below.axhline(sign * bounds.jerk, color=EGO, lw=0.7, ls="--", alpha=0.8)
     ax.set_ylabel("acceleration\n[m/s²]")
     below.set_ylabel("jerk\n[m/s³]")
-    ax.legend(loc="lower right", ncols=2, frameon=False, title=None)
+    ax.plot([], [], color=EGO, lw=0.7, ls="--", label="comfort bounds")
+    ax.set_ylim(bottom=ax.get_ylim()[0] - 0.35 * float(np.ptp(ax.get_ylim())))
+    ax.legend(loc="lower right", ncols=3, frameon=False)
+
+
+def _sign(ax: Any, y: float, text: str) -> None:
+    """The name of a bound, at the right end of its line."""
     ax.text(
-        0.005, 0.03, "dashed: comfort bounds", transform=ax.transAxes, fontsize=7.5, va="bottom", alpha=0.75
+        0.995, y, text, transform=ax.get_yaxis_transform(), fontsize=7.5, ha="right", va="bottom",
+        bbox={"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.7},
     )  # fmt: skip
 
 
-def _risk(ax: Any, drive: Drive) -> None:
+def _risk(ax: Any, drive: Drive, bounds: Bounds) -> None:
     t, v = risk_along(drive)
     ax.plot(*thin(t, v), color="#8c2981", lw=1.1)
     ax.set_ylabel("highest risk\nahead [$E_\\mathrm{max}$]")
-    ax.axhline(0.8, color=INK, lw=0.7, ls="--", alpha=0.7)
-    ax.text(0.005, 0.8, "contact 0.8", transform=ax.get_yaxis_transform(), fontsize=7.5, va="bottom", alpha=0.75)
-    ax.set_ylim(0.0, max(1.0, 1.1 * float(np.nanmax(v)) if np.any(np.isfinite(v)) else 1.0))
+    ax.axhline(bounds.contact, color=INK, lw=0.7, ls="--", alpha=0.7)
+    ax.set_ylim(0.0, max(1.15, 1.15 * float(np.nanmax(v)) if np.any(np.isfinite(v)) else 1.0))
+    _sign(ax, bounds.contact, f"contact {bounds.contact:.1f}")
 
 
 def risk_along(drive: Drive) -> tuple[F64, F64]:
@@ -177,10 +184,7 @@ def _clearance(ax: Any, drive: Drive, bounds: Bounds) -> None:
     ax.set_ylim(0.0, max(5.0, min(20.0, float(np.nanmax(c.distance)) if np.any(np.isfinite(c.distance)) else 5.0)))
     ax.axhline(bounds.clearance, color="#d55e00", lw=0.8, ls="--")
     ax.set_ylabel("nearest\n[m]")
-    ax.text(
-        0.005, bounds.clearance, f"contact threshold {bounds.clearance:.2f} m", transform=ax.get_yaxis_transform(),
-        fontsize=7.5, va="bottom", alpha=0.75,
-    )  # fmt: skip
+    _sign(ax, bounds.clearance, f"contact threshold {bounds.clearance:.2f} m")
 
 
 def latencies(recording: Recording, drive: Drive, period_ms: float) -> Figure:

@@ -27,9 +27,9 @@ from evaluation.review.recording import Recording, Seen
 from rig.interventions import Intervention
 from viz.decision import brief, source
 
-DPI = 140
-COLOURS = 160
-"""Of a picture's palette: as good to the eye, a third of the size."""
+DPI = 150
+QUALITY = 88
+"""Of a picture of the field: a quarter of a PNG's size."""
 TERMS = {
     "potential": "potential term: how near it is",
     "kinetic": "kinetic term: how fast the two close in on each other",
@@ -162,9 +162,8 @@ def vector(fig: Figure) -> str:
 
 
 def raster(fig: Figure) -> str:
-    """A figure as an address that holds it, PNG with a palette."""
+    """A figure as an address that holds it, WebP."""
     raw, out = io.BytesIO(), io.BytesIO()
     fig.savefig(raw, format="png", dpi=DPI)
-    image = Image.open(raw).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-    image.save(out, format="png", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(out.getvalue()).decode()
+    Image.open(raw).convert("RGB").save(out, format="webp", quality=QUALITY, method=6)
+    return "data:image/webp;base64," + base64.b64encode(out.getvalue()).decode()

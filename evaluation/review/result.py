@@ -18,6 +18,9 @@ from rig.statuses import by_topic
 from rig.tally import quantiles
 from viz import account
 
+TOLERANCE = 0.03
+"""A controller that keeps a bound touches it: what is no further beyond counts as kept."""
+
 
 def result(recording: Recording, drive: Drive, bounds: Bounds, errors: dict[Group, list[Errors]]) -> dict[str, Any]:
     """Summary, interventions, latencies, prediction error; times count from the begin of the run [s]."""
@@ -76,14 +79,15 @@ def _summary(recording: Recording, drive: Drive, bounds: Bounds) -> dict[str, An
 
 
 def _beyond(drive: Drive, bounds: Bounds) -> dict[str, float]:
-    """Share of the time beyond each bound of comfort."""
+    """Share of the time more than TOLERANCE beyond each bound of comfort."""
+    over = 1.0 + TOLERANCE
     speed_up, brake, lateral, jerk = [], [], [], []
     for leg in drive.legs:
         m = leg.motion
-        speed_up.append(m.acceleration > bounds.accel)
-        brake.append(m.acceleration < -bounds.brake)
-        lateral.append(np.abs(m.lateral) > bounds.lateral)
-        jerk.append(np.abs(m.jerk) > bounds.jerk)
+        speed_up.append(m.acceleration > over * bounds.accel)
+        brake.append(m.acceleration < -over * bounds.brake)
+        lateral.append(np.abs(m.lateral) > over * bounds.lateral)
+        jerk.append(np.abs(m.jerk) > over * bounds.jerk)
 
     def share(parts: list[Any]) -> float:
         every = np.concatenate(parts) if parts else np.zeros(0)
