@@ -37,7 +37,7 @@ EVERY = 100
 def main(arguments: list[str] | None = None) -> int:
     """Record and serve what the services see and decide, until SIGTERM or Ctrl-C."""
     parser = argparse.ArgumentParser(prog="python -m viz", description=main.__doc__)
-    parser.add_argument("--record", metavar="OUT.rrd", help="file to write (setting viz.record)")
+    parser.add_argument("--record", metavar="OUT.rrd", help="file or folder to write (setting viz.record)")
     parser.add_argument("--serve", type=int, metavar="PORT", help="port for a live viewer (setting viz.serve)")
     parser.add_argument("--scenario", metavar="NAME", help="name stored in the recording (setting viz.scenario)")
     options = parser.parse_args(arguments)

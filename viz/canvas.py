@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +16,21 @@ NEAR_M = 5000.0
 """Coordinates up to here are drawn as they are [m]; a float32 still resolves half a millimetre."""
 
 
+class Rows(Protocol):
+    """Takes rows: a `viz.sinks.Recorder`."""
+
+    def log(self, path: str, *what: rr.AsComponents, static: bool = False) -> None:
+        """Log one row at the time last set."""
+
+    def set_time(self, frame: int, t: float) -> None:
+        """Everything logged from here on stands at this frame, t seconds after the run's begin."""
+
+
 @dataclass
 class Canvas:
-    """A recording stream and the point of the `map` frame that is drawn at (0, 0)."""
+    """Where rows go, and the point of the `map` frame that is drawn at (0, 0)."""
 
-    rec: rr.RecordingStream
+    rec: Rows
     origin: tuple[float, float] | None = None
 
     def log(self, path: str, *what: rr.AsComponents, static: bool = False) -> None:
@@ -28,8 +39,7 @@ class Canvas:
 
     def set_time(self, when: When) -> None:
         """Everything logged from here on stands at `when`."""
-        self.rec.set_time("frame", sequence=when.frame)
-        self.rec.set_time("t", duration=when.t)
+        self.rec.set_time(when.frame, when.t)
 
     def place(self, x: float, y: float) -> None:
         """Choose the origin by the first position that is seen; a far one (UTM) is rounded to 100 m."""

@@ -15,7 +15,7 @@ import rerun as rr
 
 from common.messages import U8, Closures, Ego, Map, Objects, Plan, Prediction, Risk, Route, Stamped, Status
 from viz import account, decision, field, plots, road, traffic
-from viz.canvas import Canvas
+from viz.canvas import Canvas, Rows
 from viz.colours import of_speed
 from viz.run_time import RunTime
 from viz.settings import VizSettings
@@ -46,7 +46,7 @@ class Volume:
 class Scene:
     """Draws messages into a recording."""
 
-    def __init__(self, rec: rr.RecordingStream, settings: VizSettings) -> None:
+    def __init__(self, rec: Rows, settings: VizSettings) -> None:
         self._settings = settings
         self._canvas = Canvas(rec)
         self._time = RunTime()

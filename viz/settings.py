@@ -15,7 +15,7 @@ class VizSettings(Settings, frozen=True):
     """Section `[viz]`. `record` and `serve` are also options of `python -m viz`."""
 
     record: str = ""
-    """File to write (`.rrd`); empty: none."""
+    """File to write (`.rrd`), or a folder, which then receives pieces that never overwrite each other; empty: none."""
     scenario: str = ""
     """Name stored in the recording; empty: `live`."""
     serve: Annotated[int, Meta(ge=0, le=65535)] = 0
@@ -24,14 +24,21 @@ class VizSettings(Settings, frozen=True):
     """Address of that server; anything but loopback shows the drive to everyone who reaches it."""
     server_memory: str = "256MiB"
     """What the server keeps for a viewer that joins late; the oldest is dropped first."""
+    rotate_mib: Annotated[float, Meta(ge=0.0)] = 2048.0
+    """A piece of this size is finished and the next begun [MiB]; 0: any size. A piece is complete by itself."""
+    rotate_minutes: Annotated[float, Meta(ge=0.0)] = 30.0
+    """So is a piece of this age [min]; 0: any age."""
+    budget_mib: Annotated[float, Meta(ge=0.0)] = 20480.0
+    """All pieces together take no more; the oldest is removed first [MiB]. An hour takes some 4 GiB. 0: no budget."""
+    reserve_mib: Annotated[float, Meta(ge=0.0)] = 256.0
+    """This much of the disk is left free, whoever fills it [MiB]: the oldest pieces go, then recording pauses."""
     footer: bool = True
     """Finish the file with an index when it is closed. It costs memory while recording; without it a file still opens,
     and `rerun rrd optimize IN -o OUT` adds it afterwards."""
-    flush_s: Positive = 1.0
-    """Rows wait this long to share a chunk [s]: smaller files, and as much is lost with a process that is killed. While
-    a live viewer is served it is `live_flush_s`, if that is less."""
+    flush_s: Positive = 0.8
+    """Rows wait this long to share a chunk [s]: smaller files, and as much is lost with a process that is killed."""
     live_flush_s: Positive = 0.2
-    """A live picture is later by as much [s]; the file is larger by half."""
+    """The same for live viewers: the picture is later by as much [s]."""
     heavy_hz: Positive = 10.0
     """Highest rate at which risk, candidates and objects are drawn [Hz]."""
     ego_hz: Positive = 20.0

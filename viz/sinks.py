@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import logging
 import socket
+import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,50 +14,132 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
+from viz.about import about
+from viz.outlet import Files, Outlet, Server
+from viz.pieces import MIB, Limits, Pieces
 from viz.settings import VizSettings
-
-APPLICATION = "forefield"
-
-log = logging.getLogger("forefield")
+from viz.standing import Standing
 
 
 class SinkError(ValueError):
     """A recording cannot be written or served; the text says what to do."""
 
 
+class Recorder:
+    """Logs rows into every outlet, keeps what stands, and looks after the outlets. Used by one thread."""
+
+    def __init__(self, outlets: list[Outlet], standing: Standing) -> None:
+        self._outlets = outlets
+        self._standing = standing
+        self._frame: int | None = None
+        self._t = 0.0
+
+    def set_time(self, frame: int, t: float) -> None:
+        """Everything logged from here on stands at this frame, t seconds after the run's begin."""
+        self._frame, self._t = frame, t
+        for outlet in self._outlets:
+            if outlet.rec is not None:
+                self._place(outlet.rec)
+
+    def log(self, path: str, *what: rr.AsComponents, static: bool = False) -> None:
+        """Log one row."""
+        self._standing.note(path, what, static)
+        for outlet in self._outlets:
+            rec = outlet.ready()
+            if rec is not None:
+                rec.log(path, *what, static=static)
+
+    def tend(self) -> None:
+        """Look after the outlets; to be called several times a second."""
+        now_s = time.monotonic()
+        for outlet in self._outlets:
+            outlet.tend(now_s)
+            if outlet.renewed() and outlet.rec is not None:
+                self._place(outlet.rec)
+                for path, what, static in self._standing.rows():
+                    outlet.rec.log(path, *what, static=static)
+
+    @property
+    def trouble(self) -> str:
+        """What is not recorded or served, and why; empty: everything is well."""
+        return "; ".join(outlet.trouble for outlet in self._outlets if outlet.trouble)
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Rows not taken, by outlet."""
+        return {outlet.name: outlet.dropped for outlet in self._outlets}
+
+    @property
+    def detail(self) -> dict[str, str]:
+        """What the status says about the recording."""
+        return {k: v for outlet in self._outlets if isinstance(outlet, Files) for k, v in outlet.detail.items()}
+
+    def close(self) -> None:
+        """Finish everything."""
+        for outlet in self._outlets:
+            outlet.close()
+
+    def _place(self, rec: rr.RecordingStream) -> None:
+        if self._frame is not None:
+            rec.set_time("frame", sequence=self._frame)
+            rec.set_time("t", duration=self._t)
+
+
 @contextmanager
-def recording(settings: VizSettings, scenario: str, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """Open a recording with its blueprint; on the way out everything is flushed and the file finished.
+def recording(
+    settings: VizSettings, scenario: str, blueprint: rrb.Blueprint, configuration: dict[str, Any] | None = None
+) -> Iterator[Recorder]:
+    """Open the outlets, each with blueprint, name and configuration; on the way out everything is finished.
 
     Raises:
         SinkError: no such folder, or the port is taken.
     """
-    flush_s = min(settings.flush_s, settings.live_flush_s) if settings.serve else settings.flush_s
-    batcher = rr.ChunkBatcherConfig(flush_tick=flush_s)
-    rec = rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4(), batcher_config=batcher)
-    sinks: list[Any] = []
+    identity = str(uuid.uuid4())
+    standing = Standing()
+    begin = _beginning(scenario, configuration or {})
+    outlets: list[Outlet] = []
     if settings.record:
-        path = Path(settings.record)
-        if not path.parent.is_dir():
-            raise SinkError(f"viz.record: {path.parent}: no such folder; create it or record elsewhere")
-        sinks.append(rr.FileSink(path, write_footer=settings.footer))
+        outlets.append(Files(identity, settings.flush_s, blueprint, _pieces(settings), settings.footer, begin))
     if settings.serve:
         _check_free(settings.address, settings.serve)
-        sinks.append(rr.GrpcServerSink(settings.address, settings.serve, server_memory_limit=settings.server_memory))
+        where = (settings.address, settings.serve)
+        outlets.append(Server(identity, settings.live_flush_s, blueprint, where, settings.server_memory, begin))
+    recorder = Recorder(outlets, standing)
     try:
-        if sinks:
-            rec.set_sinks(*sinks, default_blueprint=blueprint)
-    except (RuntimeError, ValueError, OSError) as e:
-        raise SinkError(f"[viz] cannot open the recording: {e}") from None
-    rec.send_recording_name(scenario or "live")
-    try:
-        yield rec
+        for outlet in outlets:
+            try:
+                outlet.start()
+            except (RuntimeError, ValueError, OSError) as e:
+                raise SinkError(f"[viz] cannot open the recording: {e}") from None
+        text = about(scenario, configuration or {}, settings)
+        recorder.log("about", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+        yield recorder
     finally:
-        try:
-            rec.flush(timeout_sec=2.0)
-        except RuntimeError as e:  # a server that has gone must not keep the file from being finished
-            log.warning("not everything was written: %s", e)
-        rec.disconnect()
+        recorder.close()
+
+
+def _pieces(settings: VizSettings) -> Pieces:
+    path = Path(settings.record)
+    parent = path if settings.record.endswith("/") else path.parent
+    if not path.is_dir() and not parent.is_dir():
+        raise SinkError(f"viz.record: {parent}: no such folder; create it or record elsewhere")
+    limits = Limits(
+        round(settings.rotate_mib * MIB),
+        settings.rotate_minutes * 60.0,
+        round(settings.budget_mib * MIB),
+        round(settings.reserve_mib * MIB),
+    )
+    return Pieces.of(settings.record, limits)
+
+
+def _beginning(scenario: str, configuration: dict[str, Any]) -> Callable[[rr.RecordingStream], None]:
+    stored = json.dumps(configuration, sort_keys=True)
+
+    def begin(rec: rr.RecordingStream) -> None:
+        rec.send_recording_name(scenario or "live")
+        rec.send_property("forefield", rr.AnyValues(scenario=scenario or "live", configuration=stored))
+
+    return begin
 
 
 def _check_free(address: str, port: int) -> None:
@@ -70,38 +152,3 @@ def _check_free(address: str, port: int) -> None:
             raise SinkError(
                 f"viz.serve: cannot listen on {address}:{port}: {e.strerror}; choose another port"
             ) from None
-
-
-def log_about(rec: rr.RecordingStream, scenario: str, configuration: dict[str, Any], settings: VizSettings) -> None:
-    """Store the scenario's name and the resolved configuration in the recording."""
-    rec.send_property(
-        "forefield", rr.AnyValues(scenario=scenario or "live", configuration=json.dumps(configuration, sort_keys=True))
-    )
-    text = "\n".join(
-        (
-            f"# {scenario or 'Live'}",
-            "",
-            "**Bird's-eye view**: the ego drives to the right; left on the picture is left of the ego (up).",
-            "The heatmap is the risk M now, in units of E_max, black 0 to pale yellow "
-            f"{settings.full_scale:g} E_max and above, the same scale in every frame. Off the road the field stays at "
-            "the height of its edge; that plateau, wherever what stands still reaches the top of the scale, is drawn "
-            "dark: the bright line along the kerb is its rim, the land behind it is no safer.",
-            "",
-            "Thin blue lines: candidate paths, brighter where the desired speed is higher. Wide green: the path "
-            "chosen. Pink: the stopping tail. Red dot: the cell that decided the speed, with its source and risk.",
-            "",
-            "**Risk on the path**: one curve a slice, yellow now, blue the last.",
-            "",
-            "**Time stack**: the slices of the next seconds one above the other, "
-            f"{settings.lift:g} m per second; the chosen path climbs through them. Only what moves is shown: where the "
-            "largest share stands still, the slices are clear. `risk/exact` holds the volume with its own numbers.",
-            "",
-            "**Units**: m, s, m/s, m/s², ms. Timelines: `frame` counts messages of objects, `t` is seconds of the run.",
-            "",
-            "## Configuration",
-            "```json",
-            json.dumps(configuration, indent=2, sort_keys=True),
-            "```",
-        )
-    )
-    rec.log("about", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)

@@ -58,8 +58,8 @@ def test_all_are_healthy(up: None) -> None:
 
 def test_the_recording_in_the_volume_has_plans(up: None) -> None:
     count = (
-        "from rerun.chunk import RrdReader\n"
-        "try: print(sum(c.num_rows for c in RrdReader('/recordings/run.rrd').stream()"
+        "from pathlib import Path\nfrom rerun.chunk import RrdReader\n"
+        "try: print(sum(c.num_rows for p in Path('/recordings').glob('*.rrd') for c in RrdReader(p).stream()"
         " if c.entity_path == '/world/plan/profile'))\n"
         "except Exception: print(0)"
     )

@@ -12,14 +12,13 @@ from tests.viz import synthetic
 from viz.blueprint import blueprint
 from viz.scene import Scene
 from viz.settings import VizSettings
-from viz.sinks import log_about, recording
+from viz.sinks import recording
 
 
 def draw(path: Path, give: Callable[[Scene], None], **settings) -> Path:
     """Record what `give` gives to a scene."""
     s = VizSettings(record=str(path), **settings)
-    with recording(s, "synthetic", blueprint()) as rec:
-        log_about(rec, "synthetic", {"planner": {"name": "default"}}, s)
+    with recording(s, "synthetic", blueprint(), {"planner": {"name": "default"}}) as rec:
         give(Scene(rec, s))
     return path
 
