@@ -58,7 +58,7 @@ class RiskField:
         times = [j * self.settings.slice_s for j in range(self.settings.slices)]
         sources = dynamic_sources(prediction.value, np.asarray(times) + t_offset, (now.vx, now.vy), self.risk)
         counts, omitted = left_out(sources, now)
-        packed = pack_objects(sources, counts, grid, self.risk)
+        packed = pack_objects(sources, counts, grid, self.risk, self.settings.accuracy == "fast")
         lines = self._lines(grid, map, closures, now)
         volume, codes = self._field.compute(grid, packed, pack_lines(lines, grid))
 

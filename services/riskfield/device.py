@@ -1,8 +1,7 @@
-"""Launching the kernels: buffers on `cpu` or `cuda`, one float volume out."""
+"""Launching the kernels: buffers that stay, on `cpu` or `cuda`; one float volume out."""
 
 from __future__ import annotations
 
-import itertools
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -14,12 +13,12 @@ from common.kernel_cache import kernel_cache
 from common.messages import BLOCK, F32, Grid
 from common.risk import RiskParameters
 from services.riskfield import kernels
-from services.riskfield.packing import PackedObjects
+from services.riskfield.buffers import DeviceArray, HostRing
+from services.riskfield.layout import CPU_GROUP, CPU_RUN, OBJECT_FIELDS, SEGMENT_FIELDS
+from services.riskfield.packing import PackedObjects, nodes_every
 from services.riskfield.settings import RiskfieldSettings
 
 wp.config.log_level = wp.LOG_ERROR
-
-TYPES: dict[type, Any] = {np.float32: wp.float32, np.int32: wp.int32, np.uint16: wp.uint16}
 
 
 def resolve(device: str) -> str:
@@ -41,7 +40,11 @@ def resolve(device: str) -> str:
 
 
 class FieldDevice:
-    """The device's side of the field: uploads packed sources, launches, brings the volume back."""
+    """The device's side of the field: uploads packed sources, launches, brings the volume back.
+
+    Every buffer is kept from frame to frame and grows when it must. On CUDA the uploads and both kernels are one
+    captured graph for each shape of the grid and each capacity.
+    """
 
     def __init__(self, settings: RiskfieldSettings, risk: RiskParameters, device: str) -> None:
         self._half = settings.dtype == "float16"
@@ -49,73 +52,123 @@ class FieldDevice:
         self._device = device
         self._on_cpu = device == "cpu"
         self._threads = settings.threads if self._on_cpu else 1
-        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
-        self._kept: dict[str, Any] = {}
+        self._others = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
+        self._in = {name: DeviceArray(device) for name in ("counts", "objects", "widths", "segments", "lines")}
+        self._work = {
+            name: DeviceArray(device, staged=False)
+            for name in ("crossings", "far", "static_sum", "static_best", "static_line", "unused16", "unused32")
+        }
+        self._volumes, self._dominants = HostRing(device), HostRing(device)
+        self._graphs: dict[tuple[Any, ...], Any] = {}
+
+    @property
+    def fresh_volumes(self) -> int:
+        """How many volumes were allocated so far; the others were given back by their messages."""
+        return self._volumes.made
 
     def compute(
         self, grid: Grid, packed: PackedObjects, lines: F32
     ) -> tuple[npt.NDArray[np.floating[Any]], npt.NDArray[np.int32]]:
         """M [slices, rows, columns] and the code of the dominant source [slices, rows / 4, columns / 4].
 
-        Code 2 o is the potential of the packed object o, 2 o + 1 its kinetic term, 2 n + m line m, −1 nothing.
+        Code 2 o is the potential of the packed object o, 2 o + 1 its kinetic term, 2 n + m line m, −1 nothing. Both
+        belong to the caller: their memory is used again once nobody holds them.
         """
         slices, count = packed.objects.shape[:2]
-        cells = grid.rows * grid.columns
         blocks = (slices, grid.rows // BLOCK, grid.columns // BLOCK)
+        v = self._volume(grid, packed, lines)
+        shape = (slices, grid.rows, grid.columns)
+        volume, pinned, on_device = self._volumes.take(shape, np.uint16 if self._half else np.float32)
+        dominant, pinned_names, named = self._dominants.take(blocks, np.int32)
+        v.volume16 = on_device if self._half else self._work["unused16"].room(1, np.uint16)
+        v.volume32 = self._work["unused32"].room(1, np.float32) if self._half else on_device
+        v.dominant = named
+
+        runs = -(-grid.columns // v.run)
+        prepare = (slices * v.far_rows if v.two_level else 0) * runs + grid.rows * runs + self._room(count)
+        tasks = -(-slices // v.group) * (grid.rows // BLOCK) * runs
+        if self._on_cpu:
+            self._spread(kernels.prepare_kernel, prepare, v)
+            self._spread(kernels.field_kernel, tasks, v)
+        else:
+            self._replay(v, prepare, tasks)
+            wp.copy(pinned, on_device)
+            wp.copy(pinned_names, named)
+            wp.synchronize_device(self._device)
+        return volume.view(np.float16) if self._half else volume, dominant
+
+    @staticmethod
+    def _room(count: int) -> int:
+        """Objects for which there is room: grows in steps, so that a graph holds for many frames."""
+        return max(16, -(-count // 16) * 16)
+
+    def _volume(self, grid: Grid, packed: PackedObjects, lines: F32) -> Any:
+        slices, count = packed.objects.shape[:2]
+        room, segments = self._room(count), -(-packed.segments.shape[1] // 16) * 16
+        cells = grid.rows * grid.columns
         p = self._risk
         v = kernels.Volume()
         v.slices, v.rows, v.columns, v.h = slices, grid.rows, grid.columns, grid.h
-        v.objects_count, v.segments_stride, v.lines_count = count, packed.segments.shape[1], len(lines)
-        v.run = min(kernels.CPU_RUN, grid.columns) if self._on_cpu else BLOCK
-        v.half, v.paper = int(self._half), int(p.kinetic == "paper")
+        runs = -(-grid.columns // CPU_RUN)
+        v.run = -(-grid.columns // (16 * runs)) * 16 if self._on_cpu else BLOCK
+        v.group = min(slices, CPU_GROUP) if self._on_cpu else 1
+        v.half, v.paper, v.two_level = int(self._half), int(p.kinetic == "paper"), int(packed.two_level)
+        v.ratio = nodes_every(grid.h)
+        v.far_rows = (grid.rows - 1) // v.ratio + 5
+        v.far_pitch = grid.columns + v.ratio + 4
+        v.objects_most, v.segments_most = room, segments
         v.k1, v.e_max, v.taper_radius, v.taper_start = p.k1, p.e_max, p.taper_radius, p.taper_start
         v.t, v.d0, v.E_k = p.t, p.d0, p.E_k
-        v.objects, v.segments, v.lines = self._put(packed.objects), self._put(packed.segments), self._put(lines)
-        v.static_sum = self._keep("static_sum", cells, wp.float32)
-        v.static_best = self._keep("static_best", cells, wp.float32)
-        v.static_line = self._keep("static_line", cells, wp.int32)
-        volume = self._fresh("volume", (slices, grid.rows, grid.columns), np.uint16 if self._half else np.float32)
-        dominant = self._fresh("dominant", blocks, np.int32)
-        v.volume16 = volume[1] if self._half else self._keep("none16", 1, wp.uint16)
-        v.volume32 = self._keep("none32", 1, wp.float32) if self._half else volume[1]
-        v.dominant = dominant[1]
 
-        runs = -(-grid.columns // v.run)
-        wp.launch(kernels.static_kernel, dim=grid.rows * runs, inputs=[v], device=self._device)
-        tasks = slices * (grid.rows // BLOCK) * runs
-        if self._pool is None:
-            wp.launch(kernels.field_kernel, dim=tasks, inputs=[v, 0], device=self._device)
-        else:
-            cuts = np.linspace(0, tasks, self._threads + 1).astype(int)
-            for done in [
-                self._pool.submit(wp.launch, kernels.field_kernel, dim=int(b - a), inputs=[v, int(a)], device="cpu")
-                for a, b in itertools.pairwise(cuts)
-            ]:
-                done.result()
-        m = self._back(*volume)
-        return m.view(np.float16) if self._half else m, self._back(*dominant)
+        host = {name: kept.host for name, kept in self._in.items()}
+        counts, v.counts = self._in["counts"].host((2,), np.int32)
+        counts[:] = count, len(lines)
+        objects, v.objects = host["objects"]((slices, room, len(OBJECT_FIELDS)), np.float32)
+        objects[:, :count] = packed.objects
+        widths, v.widths = host["widths"]((room,), np.float32)
+        widths[:count] = packed.widths
+        paths, v.segments = host["segments"]((room, segments, len(SEGMENT_FIELDS)), np.float32)
+        used = packed.segments.shape[1]
+        paths[:count, :used] = packed.segments
+        paths[:count, used:, SEGMENT_FIELDS.index("x_low")] = 1.0  # padding: no extent
+        paths[:count, used:, SEGMENT_FIELDS.index("x_high")] = -1.0
+        rows, v.lines = host["lines"]((max(-(-len(lines) // 256) * 256, 256), max(lines.shape[1], 1)), np.float32)
+        rows[: len(lines)] = lines
 
-    def _put(self, a: F32) -> Any:
-        if a.size == 0:
-            return self._keep("nothing", 1, wp.float32)
-        return wp.array(a.ravel(), dtype=wp.float32, device=self._device, copy=not self._on_cpu)
+        work = self._work
+        v.crossings = work["crossings"].room(room * (grid.rows // BLOCK) * 2, np.int32)
+        v.far = work["far"].room(slices * v.far_rows * v.far_pitch + 64 if v.two_level else 1, np.float32)
+        v.static_sum = work["static_sum"].room(cells, np.float32)
+        v.static_best = work["static_best"].room(cells, np.float32)
+        v.static_line = work["static_line"].room(cells, np.int32)
+        return v
 
-    def _keep(self, name: str, size: int, dtype: Any) -> Any:
-        """A buffer that lives on and grows when it must."""
-        if name not in self._kept or self._kept[name].size < size:
-            self._kept[name] = wp.empty(size, dtype=dtype, device=self._device)
-        return self._kept[name]
+    def _spread(self, kernel: Any, tasks: int, v: Any) -> None:
+        """Every thread takes every n-th task: neighbours cost alike, so the threads end together."""
+        n = self._threads
+        rest = []
+        for k in range(1, n):
+            assert self._others is not None
+            rest.append(
+                self._others.submit(wp.launch, kernel, dim=len(range(k, tasks, n)), inputs=[v, k, n], device="cpu")
+            )
+        wp.launch(kernel, dim=len(range(0, tasks, n)), inputs=[v, 0, n], device="cpu")
+        for done in rest:
+            done.result()
 
-    def _fresh(self, name: str, shape: tuple[int, ...], dtype: type) -> tuple[npt.NDArray[Any], Any]:
-        """Host memory of its own for every frame (the message keeps it), and where the device writes."""
-        host: npt.NDArray[Any] = np.empty(shape, dtype=dtype)
-        if self._on_cpu:
-            return host, wp.array(host.reshape(-1), dtype=TYPES[dtype], device="cpu", copy=False)
-        return host, self._keep(name, host.size, TYPES[dtype])
-
-    def _back(self, host: npt.NDArray[Any], on_device: Any) -> npt.NDArray[Any]:
-        if not self._on_cpu:
-            flat: Any = wp.array(host.reshape(-1), dtype=on_device.dtype, device="cpu", copy=False)
-            wp.copy(flat, on_device, count=host.size)
-            wp.synchronize_device(self._device)
-        return host
+    def _replay(self, v: Any, prepare: int, tasks: int) -> None:
+        """Upload and launch as one captured graph; captured anew where a buffer moved or the grid changed."""
+        given = tuple(self._in.values())
+        memory = (*given, *self._work.values(), self._volumes, self._dominants)
+        shape = (v.slices, v.rows, v.columns, v.h, v.two_level, v.objects_most, v.segments_most)
+        key = (prepare, tasks, *shape, *(a.where for a in memory))
+        if key not in self._graphs:
+            self._graphs.clear()
+            wp.load_module(kernels, device=self._device)
+            with wp.ScopedCapture(device=self._device) as captured:
+                for a in given:
+                    a.upload()
+                wp.launch(kernels.prepare_kernel, dim=prepare, inputs=[v, 0, 1], device=self._device)
+                wp.launch(kernels.field_kernel, dim=tasks, inputs=[v, 0, 1], device=self._device)
+            self._graphs[key] = captured.graph
+        wp.capture_launch(self._graphs[key])

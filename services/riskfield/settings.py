@@ -23,5 +23,7 @@ class RiskfieldSettings(Settings, frozen=True, kw_only=True):
     slices: Annotated[int, Meta(ge=1, le=256)] = 13  # number of slices [-]
     slice_s: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.5  # from one slice to the next [s]
     dtype: Literal["float16", "float32"] = "float16"  # of the volume
+    # fast: far from a body the potential is interpolated between nodes, to 2e-3 E_max; exact: every cell is computed
+    accuracy: Literal["fast", "exact"] = "fast"
     device: Literal["auto", "cpu", "cuda"] = "auto"  # auto: CUDA where there is one
     threads: Annotated[int, Meta(ge=1, le=64)] = 1  # on the CPU, the slices are shared among them [-]

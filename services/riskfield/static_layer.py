@@ -23,7 +23,7 @@ from common.messages import F32, F64, Ego, Grid, Lane, Map
 from common.risk import RiskParameters
 from common.risk_sources import Bools, StaticLine
 from services.riskfield.grid import into_grid
-from services.riskfield.kernels import LINE_FIELDS
+from services.riskfield.layout import LINE_FIELDS
 
 RANK = {"unknown": 0, "virtual": 1, "dashed": 2, "solid": 3, "road_edge": 4, "kerb": 5, "barrier": 6}
 """Where two lanes disagree on their boundary, the higher one holds; a type is a statement, `unknown` is none."""

@@ -9,7 +9,7 @@ import pytest
 from common.messages import BLOCK, NO_SLOT, Closures
 from common.risk import RiskParameters
 from common.risk_sources import dynamic_sources, shares_at_points
-from services.riskfield import kernels
+from services.riskfield import kernels, layout
 from services.riskfield.core import RiskField
 from services.riskfield.grid import cell_centres
 from services.riskfield.selection import left_out
@@ -27,7 +27,7 @@ def risk():
 
 @pytest.fixture(scope="module")
 def field(risk):
-    return RiskField(RiskfieldSettings(dtype="float32", **SMALL), risk, "cpu")
+    return RiskField(RiskfieldSettings(dtype="float32", accuracy="exact", **SMALL), risk, "cpu")
 
 
 def reference(scene, r, closures, t_offset, p):
@@ -97,7 +97,7 @@ def test_kernels_equal_the_reference_on_ten_thousand_random_scenes(field, risk):
 @pytest.mark.parametrize("k1", [1.0, 3.0])
 def test_kernels_equal_the_reference_for_other_powers_of_the_distance(k1):
     p = RiskParameters(k1=k1, k=5e-4, taper_radius=15.0, t=2.0, d0=0.5, E_k=0.7, e_max=2.0)
-    check_exact(RiskField(RiskfieldSettings(dtype="float32", **SMALL), p, "cpu"), p, range(8))
+    check_exact(RiskField(RiskfieldSettings(dtype="float32", accuracy="exact", **SMALL), p, "cpu"), p, range(8))
 
 
 def test_float16_is_the_float32_volume_rounded(field, risk):
@@ -111,6 +111,24 @@ def test_float16_is_the_float32_volume_rounded(field, risk):
         # below 2⁻¹⁴ float16 has a fixed step, which flushed denormals may miss
         assert np.all((b.volume == expected) | (np.abs(b.volume.astype(np.float32) - a.volume) < 6.2e-5))
         assert np.array_equal(a.dominant, b.dominant)
+
+
+def test_the_fast_variant_stays_within_two_thousandths_of_e_max(risk):
+    """Two levels: from the nodes far off, exact near every body; on all cells, against the exact variant."""
+    layout = SMALL | dict(h=0.25)
+    exact, fast = (
+        RiskField(RiskfieldSettings(dtype="float32", accuracy=a, **layout), risk, "cpu") for a in ("exact", "fast")
+    )
+    differs = 0.0
+    for seed in range(60):
+        scene, closures, t_offset = scene_of(seed)
+        args = stamped(scene[0]), stamped(scene[1]), scene[2], closures, t_offset
+        a, b = exact.step(*args), fast.step(*args)
+        error = np.abs(a.volume - b.volume).max()
+        assert error <= 2e-3 * risk.e_max, f"seed {seed}: {error}"
+        assert b.volume.min() >= 0.0
+        differs = max(differs, error)
+    assert differs > 1e-6  # they are two variants
 
 
 def test_threads_share_the_slices_and_change_nothing(field, risk):
@@ -131,8 +149,10 @@ def test_a_frame_leaves_the_earlier_messages_alone(field):
 
 
 def test_wide_grids_are_computed_in_several_runs(risk):
-    wide = RiskfieldSettings(ahead=10, ahead_most=10, behind=10, width=80, h=0.25, slices=2, dtype="float32")
-    assert wide.width / wide.h > kernels.CPU_RUN
+    wide = RiskfieldSettings(
+        ahead=10, ahead_most=10, behind=10, width=80, h=0.25, slices=2, dtype="float32", accuracy="exact"
+    )
+    assert wide.width / wide.h > layout.CPU_RUN
     narrow = RiskField(wide, risk, "cpu")
     scene, closures, t_offset = scene_of(11)
     r = narrow.step(stamped(scene[0]), stamped(scene[1]), scene[2], closures, t_offset)
@@ -143,7 +163,7 @@ def test_wide_grids_are_computed_in_several_runs(risk):
 def test_the_printed_kinetic_term_is_computed_too():
     """Compared away from its poles and its edges, where it has no continuity to compare."""
     p = RiskParameters(kinetic="paper")
-    field = RiskField(RiskfieldSettings(dtype="float32", **SMALL), p, "cpu")
+    field = RiskField(RiskfieldSettings(dtype="float32", accuracy="exact", **SMALL), p, "cpu")
     for seed in range(8):
         scene, closures, t_offset = scene_of(seed)
         r = field.step(stamped(scene[0]), stamped(scene[1]), scene[2], closures, t_offset)
