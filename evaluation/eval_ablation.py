@@ -22,7 +22,7 @@ from rich.table import Table
 
 from common.messages import F64, PREDICTION_FRAMES
 from evaluation import prediction_scores as scoring
-from evaluation.eval_prediction import as_service
+from evaluation.prediction_methods import as_service
 from evaluation.train_predictor import Data
 from evaluation.training import LEARNED_CLASSES, Options, fit, learnable
 from evaluation.trajectory_windows import Windows

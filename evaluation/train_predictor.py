@@ -24,7 +24,8 @@ import torch
 from common.messages import PREDICTION_FRAMES
 from common.risk import RiskParameters
 from evaluation import prediction_scores as scoring
-from evaluation.eval_prediction import as_service, unseen
+from evaluation.eval_prediction import unseen
+from evaluation.prediction_methods import as_service
 from evaluation.ridge import Ridge
 from evaluation.training import LEARNED_CLASSES, Fitted, Options, Pool, augmented, fit, learnable
 from evaluation.trajectory_windows import Recording, Windows, joined, recordings, windows

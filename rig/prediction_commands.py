@@ -129,6 +129,9 @@ def eval_prediction(
     policy: Annotated[Method | None, typer.Option("--policy", help="What `policy_default` is.")] = None,
     json_: Json = None,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw the result.", metavar="OUT.png")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option("--markdown", help="Write the tables as Markdown.", metavar="OUT.md")
+    ] = None,
     stride: Stride = 5,
     group: Annotated[Group, typer.Option("--group", help="Group that table and picture show.")] = "vehicle_moving",
     repeats: Annotated[int, typer.Option("--repeats", help="Bootstrap repeats.", min=10)] = 1000,
@@ -138,16 +141,18 @@ def eval_prediction(
     """Measure every method of prediction on the same windows of recorded traffic."""
     with _exits():
         from evaluation import eval_prediction as measuring
+        from evaluation import prediction_report as report
+        from evaluation.prediction_methods import Models
 
         tree = configuration.load(config_, set_ or [])
         if policy is not None:
             tree = configuration.with_keys(tree, "predictor", policy=policy)
-        for option, path in (("--json", json_), ("--plot", plot)):
+        for option, path in (("--json", json_), ("--plot", plot), ("--markdown", markdown)):
             writable(option, path)
         if bool(tracks) == bool(scenarios):
             raise ConfigError("give either --tracks FILES … or --scenarios FILES …")
         files = _files("--tracks", tracks, more) if tracks else []
-        models = measuring.models_of(weights)
+        models = Models.of(weights)
         risk = config.section(tree, "risk", RiskParameters)
         settings = config.section(tree, "predictor", PredictorSettings)
         with working() as tell:
@@ -160,13 +165,15 @@ def eval_prediction(
         if json_ is not None:
             write(json_, result)
         if plot is not None:
-            measuring.plot(result, plot, group)
+            report.plot(result, plot, group)
+        if markdown is not None:
+            markdown.write_text(report.markdown(result, group), encoding="utf-8")
         console = Console()
         console = Console(width=max(console.width, WIDTH))
         for site in result["sites"] if len(result["sites"]) > 1 else []:
-            console.print(measuring.table(result, group, site))
-        console.print(measuring.table(result, group))
-        console.print(measuring.spread_table(result))
+            console.print(report.table(result, group, site))
+        console.print(report.table(result, group))
+        console.print(report.spread_table(result))
 
 
 def eval_ablation(

@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 from common.risk import RiskParameters
 from evaluation import eval_ablation, prediction_scores
 from evaluation import train_predictor as training
-from evaluation.eval_prediction import Case, Models, evaluate, track_cases
+from evaluation.eval_prediction import evaluate, track_cases
+from evaluation.prediction_methods import Case, Models
 from evaluation.training import Options
 from evaluation.trajectory_windows import windows
 from rig.application import app
@@ -47,7 +48,7 @@ def test_the_command_writes_the_agreed_json(weights, tmp_path):
     done = CliRunner().invoke(
         app,
         ["eval", "prediction", "--tracks", str(file), "--weights", str(weights), "--json", str(out), "--plot",
-         str(picture), "--repeats", "20"],
+         str(picture), "--repeats", "20", "--markdown", str(tmp_path / "out.md")],
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     result = json.loads(out.read_text())
@@ -65,6 +66,9 @@ def test_the_command_writes_the_agreed_json(weights, tmp_path):
         assert groups["vehicle_moving"]["60"]["n"] > 0 and groups["cycle_moving"]["60"]["n"] == 0
     assert set(result["per_recording"]) == {"u0", "u1", "u2"} and set(result["sites"]) == {"unseen"}
     assert picture.stat().st_size > 1000
+    score = result["results"]["lstm"]["vehicle_moving"]["60"]
+    written = (tmp_path / "out.md").read_text()
+    assert f"| {score['ade']:.2f}/{score['fde']:.2f} |" in next(r for r in written.split("\n") if "`lstm`" in r)
     assert set(result["spread"]) == {"pooled", "unseen"}
     for horizon in result["spread"]["unseen"]["lstm"].values():
         assert 0 <= horizon["within"] <= 1 and horizon["n"] > 0 and horizon["spread"] > 0

@@ -11,7 +11,7 @@ import torch
 
 from common.messages import ObjectClass
 from common.risk import RiskParameters
-from evaluation.eval_prediction import as_service
+from evaluation.prediction_methods import as_service
 from evaluation.training import LEARNED_CLASSES, Options, batch_of
 from evaluation.trajectory_windows import Recorded, Recording, windows
 from services.predictor import features
