@@ -105,8 +105,11 @@ def train_predictor(
             "tables": training.digests(files),
         }
 
+        order = [plan.name for plan in wanted]
+
         def told(name: str, step: int, total: int, loss: float, held: float, to_go: float) -> None:
-            say(f"{name}: step {step} of {total}, loss {loss:.3f}, held out {held:.3f}, {to_go:.0f} s to go")
+            which = f"{name} ({order.index(name) + 1} of {len(order)})"
+            say(f"{which}: step {step} of {total}, loss {loss:.3f}, held out {held:.3f}, {to_go:.0f} s to go")
 
         card = training.train(data, wanted, out, options, shrink=shrink, device=device, about=about, progress=told)
         for name, entry in card["networks"].items():
