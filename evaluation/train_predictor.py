@@ -48,8 +48,8 @@ LIMITS = (
     "cars, trucks and buses; cycles and pedestrians stay kinematic.",
     "Generated traffic holds to lanes and rules; real traffic of other countries does less.",
     "It knows no map: which way a branch is taken shows only in the motion of the last three seconds.",
-    "It gives one trajectory. Its spread is one radius for all speeds, measured on held-out recordings of the places it "
-    "was trained on: elsewhere fewer positions lie within it.",
+    "It gives one trajectory. Its spread is one radius for all speeds, measured on held-out recordings of the places "
+    "it was trained on: elsewhere fewer positions lie within it.",
     "Across a junction without lanes it turns less than drivers do.",
 )
 
