@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from common.config import ConfigError
 from rig.exits import exits, say, writable, write
@@ -22,6 +23,7 @@ Json = Annotated[Path | None, typer.Option("--json", help="Write the result ther
 def register(app: typer.Typer) -> None:
     """Add the commands to the program."""
     app.command("review")(review)
+    app.command("compare")(compare)
 
 
 def review(
@@ -57,7 +59,46 @@ def review(
             raise ConfigError(str(e)) from None
         console.print(command.table(found.result))
         if html is not None:
-            say(f"open the review in a browser:  {html}")
+            say(f"open the review in a browser:  {escape(str(html))}")
+
+
+def compare(
+    a: Annotated[Path, typer.Argument(help="A recording.", metavar="A.rrd")],
+    b: Annotated[Path, typer.Argument(help="Another one, of the same scenario.", metavar="B.rrd")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write both, side by side, for the viewer.", metavar="BOTH.rrd")
+    ] = None,
+    json_: Json = None,
+) -> None:
+    """What changed between two runs? A table, and one recording that shows both at once."""
+    with exits():
+        _needs("compare")
+        from evaluation.review import both, command
+        from evaluation.review import compare as comparison
+        from evaluation.review.tables import ReviewError
+
+        writable("--out", out)
+        writable("--json", json_)
+        if out is not None and out.suffix != ".rrd":
+            raise ConfigError(f"--out {out}: the name of a Rerun recording ends in .rrd")
+        if out is not None and out.absolute() in (a.absolute(), b.absolute()):
+            raise ConfigError(f"--out {out}: is one of the recordings to compare; choose another name")
+        try:
+            reviews = command.review(a), command.review(b)
+            found = comparison.compare(*reviews)
+            if json_ is not None:
+                write(json_, found)
+            if out is not None:
+                both.write(*reviews, found, out)
+        except ReviewError as e:
+            raise ConfigError(str(e)) from None
+        if not found["same_scenario"]:
+            said = " and ".join(repr(found["scenario"][k]) for k in "ab")
+            say(f"[yellow]warning[/] {escape(said)} are different scenarios: what differs may be the road")
+        for table in comparison.tables(found):
+            Console().print(table)
+        if out is not None:
+            say(f"open both side by side:  forefield view {escape(str(out))}")
 
 
 def _needs(name: str) -> None:

@@ -122,7 +122,8 @@ class Recording:
     @property
     def run_began(self) -> float:
         """Time 0 of the run, as the rig told [s]; without a rig the begin of the recording."""
-        began = [t - float(s.detail["run_s"]) for t, s in self.statuses.get("vehicle", []) if "run_s" in s.detail]
+        told = [row for said in self.statuses.values() for row in said]
+        began = [t - float(s.detail["run_s"]) for t, s in told if "run_s" in s.detail]
         return max(min(began), 0.0) if began else 0.0
 
 

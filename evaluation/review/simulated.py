@@ -23,6 +23,7 @@ import rerun as rr
 from common import config
 from common.messages import Cause, Closures, Ego, Map, Objects, Plan, Prediction, Risk, Route, Stamped, Status
 from evaluation.closed_loop import Cores, DriveResult, Latency, drive
+from rig import configuration
 from rig.settings import RigSettings
 from rig.sources import Scenario, ScenarioError, load_scenario
 from viz.blueprint import blueprint
@@ -127,7 +128,7 @@ class _Taps:
         now = round(t * 1e9) + self.origin_ns
         if t == 0.0:
             said = Status(
-                service="vehicle",
+                service="rig",
                 state="ready",
                 reason=f"plays {self.scenario.name}",
                 uptime_s=0.0,
@@ -218,7 +219,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
     options = parser.parse_args(argv)
     try:
-        tree = config.load(None, options.settings)
+        tree = configuration.load(None, options.settings)
         scenario = load_scenario(options.scenario, seed=options.seed, settings=config.section(tree, "rig", RigSettings))
         result = record(scenario, options.out, tree)
     except (ScenarioError, config.ConfigError, OSError) as e:
