@@ -9,7 +9,7 @@ PYTEST_ARGS ?=
 TORCH_INDEX ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow test-docker check format clean
+.PHONY: help setup demo test test-slow test-docker check audit sbom format clean
 
 help: ## Show what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | column -t -s "$$(printf '\t')"
@@ -43,6 +43,21 @@ check: $(STAMP) ## Lint, format, types, import contracts
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+sbom: $(STAMP) ## List what .venv and the built images contain, as CycloneDX in runs/sbom
+	@mkdir -p runs/sbom
+	@$(BIN)/cyclonedx-py environment $(VENV) --of JSON -o runs/sbom/venv.json
+	@for image in $$(docker images --format '{{.Repository}}' 2>/dev/null | grep -x 'forefield-[a-z]*' | sort -u); do \
+	  docker run --rm --network none $$image sh -c "python -m pip freeze --all" \
+	    | grep -v '^forefield @' | $(BIN)/cyclonedx-py requirements - --of JSON -o runs/sbom/$$image.json \
+	  && docker run --rm --network none $$image dpkg-query -W -f '$${Package} $${Version}\n' > runs/sbom/$$image.debian.txt \
+	  || exit 1; done
+	@for f in runs/sbom/*.json; do echo "$$f: $$(grep -c '"bom-ref"' $$f) components"; done
+
+audit: sbom ## Check the packages of .venv for known vulnerabilities (asks the package index), after listing them
+	@$(BIN)/pip freeze --exclude-editable > runs/sbom/venv.txt
+	@$(BIN)/pip-audit --strict --progress-spinner off --no-deps --disable-pip -r runs/sbom/venv.txt \
+	  || { echo "pip-audit found something, or its index does not tell of vulnerabilities: see the lines above"; exit 1; }
 
 format: $(STAMP) ## Format the code
 	@$(BIN)/ruff check --fix .

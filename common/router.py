@@ -7,6 +7,7 @@ process onto its own topics only (`common.access`). With `--upstream` it joins a
 from __future__ import annotations
 
 import argparse
+import logging
 import signal
 import sys
 import threading
@@ -14,10 +15,13 @@ from pathlib import Path
 
 import msgspec
 
-from common import config
+from common import config, logs
 from common.bus import BusSettings, router
 from common.bus_config import Secured, TlsSettings
 from common.config import ConfigError
+from common.process import ServiceSettings
+
+log = logging.getLogger("forefield")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -41,6 +45,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         tree = config.load()
         settings = config.section(tree, "bus", BusSettings)
+        service = config.section(tree, "service", ServiceSettings)
+        logs.begin("router", service.log_level, service.log_format)
         if options.secure is not None:
             settings = msgspec.structs.replace(settings, tls=TlsSettings.of(options.secure))
         secured = None
@@ -50,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise ConfigError("--vehicle and --router say whom a secured router lets in: give --secure FOLDER too")
         listen = options.listen or f"{'tls' if secured else 'tcp'}/127.0.0.1:7447"
         with router(listen=listen, settings=settings, secured=secured, upstream=options.upstream) as endpoint:
-            print(f"router listens on {endpoint}", flush=True)
+            log.info("listens on %s", endpoint)
             while not stop.wait(1.0):
                 if options.heartbeat:
                     options.heartbeat.touch()

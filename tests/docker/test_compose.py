@@ -3,53 +3,27 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import subprocess
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
+from tests.docker.engine import SERVICES, Project, needs_engine
 from tests.waiting import until
 
-ROOT = Path(__file__).parents[2]
-SERVICES = {"router", "predictor", "riskfield", "planner", "viz", "rig"}
-PROJECT = "forefield-test"
-
-pytestmark = [
-    pytest.mark.docker,
-    pytest.mark.skipif(
-        shutil.which("docker") is None
-        or subprocess.run(["docker", "info"], capture_output=True, check=False).returncode,
-        reason="no Docker engine",
-    ),
-]
-
-
-def compose(*arguments: str, timeout: float = 1200) -> str:
-    done = subprocess.run(
-        ["docker", "compose", "-p", PROJECT, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=timeout,
-        check=False, env={**os.environ, "SCENARIO": "following"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
-    return done.stdout
-
-
-def health() -> dict[str, str]:
-    lines = compose("ps", "--all", "--format", "json").splitlines()
-    return {row["Service"]: row["Health"] for row in map(json.loads, lines)}
+pytestmark = needs_engine
+STACK = Project("forefield-test")
+compose, health = STACK.compose, STACK.health
 
 
 @pytest.fixture(scope="module")
 def up() -> Iterator[None]:
-    compose("build")
     try:
-        compose("up", "--detach", "--wait", "--wait-timeout", "180")
+        STACK.up()
         yield
     finally:
-        compose("down", "--volumes")
+        STACK.down()
 
 
 def test_all_are_healthy(up: None) -> None:
