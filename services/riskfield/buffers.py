@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-TYPES: dict[Any, Any] = {np.float32: wp.float32, np.int32: wp.int32, np.uint16: wp.uint16}
+TYPES: dict[Any, Any] = {np.float32: wp.float32, np.int32: wp.int32, np.uint16: wp.uint16, np.float64: wp.float64}
 
 
 class DeviceArray:

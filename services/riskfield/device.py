@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -14,11 +15,14 @@ from common.messages import BLOCK, F32, Grid
 from common.risk import RiskParameters
 from services.riskfield import kernels
 from services.riskfield.buffers import DeviceArray, HostRing
-from services.riskfield.layout import CPU_GROUP, CPU_RUN, OBJECT_FIELDS, SEGMENT_FIELDS
+from services.riskfield.layout import CPU_GROUP, CPU_RUN, MOST_VERTICES, OBJECT_FIELDS, SEGMENT_FIELDS
 from services.riskfield.packing import PackedObjects, nodes_every
 from services.riskfield.settings import RiskfieldSettings
 
 wp.config.log_level = wp.LOG_ERROR
+
+UPLOADED = ("counts", "pose", "objects", "vertices", "arcs", "vertex_counts", "origins", "lines")
+SCRATCH = ("segments", "crossings", "far", "static_sum", "static_best", "static_line", "unused16", "unused32")
 
 
 def resolve(device: str) -> str:
@@ -53,11 +57,8 @@ class FieldDevice:
         self._on_cpu = device == "cpu"
         self._threads = settings.threads if self._on_cpu else 1
         self._others = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
-        self._in = {name: DeviceArray(device) for name in ("counts", "objects", "widths", "segments", "lines")}
-        self._work = {
-            name: DeviceArray(device, staged=False)
-            for name in ("crossings", "far", "static_sum", "static_best", "static_line", "unused16", "unused32")
-        }
+        self._in = {name: DeviceArray(device) for name in UPLOADED}
+        self._work = {name: DeviceArray(device, staged=False) for name in SCRATCH}
         self._volumes, self._dominants = HostRing(device), HostRing(device)
         self._graphs: dict[tuple[Any, ...], Any] = {}
 
@@ -104,7 +105,7 @@ class FieldDevice:
 
     def _volume(self, grid: Grid, packed: PackedObjects, lines: F32) -> Any:
         slices, count = packed.objects.shape[:2]
-        room, segments = self._room(count), -(-packed.segments.shape[1] // 16) * 16
+        room = self._room(count)
         cells = grid.rows * grid.columns
         p = self._risk
         v = kernels.Volume()
@@ -116,7 +117,7 @@ class FieldDevice:
         v.ratio = nodes_every(grid.h)
         v.far_rows = (grid.rows - 1) // v.ratio + 5
         v.far_pitch = grid.columns + v.ratio + 4
-        v.objects_most, v.segments_most = room, segments
+        v.objects_most, v.vertices_most, v.segments_most = room, MOST_VERTICES, MOST_VERTICES - 1
         v.k1, v.e_max, v.taper_radius, v.taper_start = p.k1, p.e_max, p.taper_radius, p.taper_start
         v.t, v.d0, v.E_k = p.t, p.d0, p.E_k
 
@@ -125,17 +126,22 @@ class FieldDevice:
         counts[:] = count, len(lines)
         objects, v.objects = host["objects"]((slices, room, len(OBJECT_FIELDS)), np.float32)
         objects[:, :count] = packed.objects
-        widths, v.widths = host["widths"]((room,), np.float32)
-        widths[:count] = packed.widths
-        paths, v.segments = host["segments"]((room, segments, len(SEGMENT_FIELDS)), np.float32)
-        used = packed.segments.shape[1]
-        paths[:count, :used] = packed.segments
-        paths[:count, used:, SEGMENT_FIELDS.index("x_low")] = 1.0  # padding: no extent
-        paths[:count, used:, SEGMENT_FIELDS.index("x_high")] = -1.0
+        pose, v.pose = host["pose"]((4,), np.float64)
+        pose[:] = grid.x, grid.y, math.cos(grid.heading), math.sin(grid.heading)
+        used = packed.vertices.shape[1]
+        vertices, v.vertices = host["vertices"]((room, MOST_VERTICES, 2), np.float64)
+        vertices[:count, :used] = packed.vertices
+        arcs, v.arcs = host["arcs"]((room, MOST_VERTICES), np.float64)
+        arcs[:count, :used] = packed.arcs
+        vertex_counts, v.vertex_counts = host["vertex_counts"]((room,), np.int32)
+        vertex_counts[:count] = packed.vertex_counts
+        origins, v.origins = host["origins"]((room,), np.float64)
+        origins[:count] = packed.origins
         rows, v.lines = host["lines"]((max(-(-len(lines) // 256) * 256, 256), max(lines.shape[1], 1)), np.float32)
         rows[: len(lines)] = lines
 
         work = self._work
+        v.segments = work["segments"].room(room * v.segments_most * len(SEGMENT_FIELDS), np.float32)
         v.crossings = work["crossings"].room(room * (grid.rows // BLOCK) * 2, np.int32)
         v.far = work["far"].room(slices * v.far_rows * v.far_pitch + 64 if v.two_level else 1, np.float32)
         v.static_sum = work["static_sum"].room(cells, np.float32)
@@ -159,7 +165,7 @@ class FieldDevice:
     def _replay(self, v: Any, prepare: int, tasks: int) -> None:
         """Upload and launch as one captured graph; captured anew where a buffer moved or the grid changed."""
         given = tuple(self._in.values())
-        memory = (*given, *self._work.values(), self._volumes, self._dominants)
+        memory: tuple[Any, ...] = (*given, *self._work.values(), self._volumes, self._dominants)
         shape = (v.slices, v.rows, v.columns, v.h, v.two_level, v.objects_most, v.segments_most)
         key = (prepare, tasks, *shape, *(a.where for a in memory))
         if key not in self._graphs:

@@ -1,9 +1,10 @@
 """The risk field on the device: one Warp source for `cpu` and `cuda`, in two launches.
 
-`prepare_kernel` computes what the slices share: the static layer, which segments of a path cross which rows, and, where
-two levels are used, the smooth far field of every slice on nodes about a metre apart. `field_kernel` does one run of
-columns of one row of blocks (4 grid rows) of one slice a task. The length of a run is a launch parameter: wide on the
-CPU, one block on CUDA. All coordinates are the grid's own, so that float32 keeps its digits on any map.
+`prepare_kernel` computes what the slices share: the static layer, the segments of every path and which rows they cross,
+and, where two levels are used, the smooth far field of every slice on nodes about a metre apart. `field_kernel` does
+one run of columns of one row of blocks (4 grid rows) of a group of slices in each task. How long a run and how large a
+group is are launch parameters: wide and many on the CPU, one block of one slice on CUDA. All coordinates are the grid's
+own, so that float32 keeps its digits on any map.
 
 What is left out of a loop is exactly zero there: the potential ends at the taper's radius, the kinetic term at its
 horizon and beside its strip, a static line at its half-width. Equations: `common.risk`. The text stands in `native`.
@@ -11,10 +12,13 @@ horizon and beside its strip, a static line at its half-width. Equations: `commo
 
 from __future__ import annotations
 
+import re
+
 import warp as wp
 
-from services.riskfield.layout import LINE_FIELDS, MOST_SEGMENTS, OBJECT_FIELDS, SEGMENT_FIELDS
-from services.riskfield.native import dominant, field, maths, prepare, terms
+from common.risk import COUPLED
+from services.riskfield.layout import FAR, LINE_FIELDS, MOST_VERTICES, OBJECT_FIELDS, SEGMENT_FIELDS, STRAIGHT
+from services.riskfield.native import dominant, field, maths, paths, prepare, terms
 
 wp.set_module_options(
     {
@@ -42,6 +46,7 @@ class Volume:
     far_rows: int
     far_pitch: int
     objects_most: int  # room in the arrays
+    vertices_most: int
     segments_most: int
     k1: float
     e_max: float
@@ -52,7 +57,11 @@ class Volume:
     E_k: float
     counts: wp.array(dtype=int)  # objects, lines
     objects: wp.array(dtype=float)  # [slices, objects_most, len(OBJECT_FIELDS)]
-    widths: wp.array(dtype=float)  # [objects_most]
+    pose: wp.array(dtype=wp.float64)  # of the grid: x, y, cos, sin of its heading
+    vertices: wp.array(dtype=wp.float64)  # [objects_most, vertices_most, 2], `map` frame
+    arcs: wp.array(dtype=wp.float64)  # [objects_most, vertices_most]
+    vertex_counts: wp.array(dtype=int)  # [objects_most]
+    origins: wp.array(dtype=wp.float64)  # [objects_most]: arc length of the current state
     segments: wp.array(dtype=float)  # [objects_most, segments_most, len(SEGMENT_FIELDS)]
     lines: wp.array(dtype=float)  # [lines, len(LINE_FIELDS)]
     crossings: wp.array(dtype=int)  # [objects_most, rows / 4, 2]: first and last segment
@@ -65,18 +74,29 @@ class Volume:
     dominant: wp.array(dtype=int)  # [slices, rows / 4, columns / 4]: 2 o, 2 o + 1, 2 objects + line, −1
 
 
-def _sized(*snippets: str) -> str:
+CONSTANTS = {
+    "OBJECT_SIZE": len(OBJECT_FIELDS),
+    "SEGMENT_SIZE": len(SEGMENT_FIELDS),
+    "LINE_SIZE": len(LINE_FIELDS),
+    "VERTICES": MOST_VERTICES,
+    "FAR": FAR,
+    "STRAIGHT": STRAIGHT,
+    "COUPLED": COUPLED,
+}
+
+
+def _filled(*snippets: str) -> str:
     text = "".join(snippets)
-    for name, fields in (("OBJECT", OBJECT_FIELDS), ("SEGMENT", SEGMENT_FIELDS), ("LINE", LINE_FIELDS)):
-        text = text.replace(f"{name}_SIZE", str(len(fields)))
-    return text.replace("[SEGMENTS]", f"[{MOST_SEGMENTS}]").replace("< SEGMENTS", f"< {MOST_SEGMENTS}")
+    for name, value in CONSTANTS.items():
+        text = re.sub(rf"\b{name}\b", str(value), text)
+    return text
 
 
 _SHARED = maths.SIZES + maths.WINDOW + maths.FUNCTIONS + terms.OBJECTS + terms.POTENTIAL + prepare.WEIGHTS
-_PREPARE = _sized(
-    _SHARED, prepare.TASKS, prepare.FAR, prepare.STATIC, prepare.CROSSINGS, prepare.PREPARE,
+_PREPARE = _filled(
+    _SHARED, prepare.TASKS, prepare.FAR, prepare.STATIC, paths.PATHS, prepare.PREPARE,
 )  # fmt: skip
-_FIELD = _sized(
+_FIELD = _filled(
     _SHARED, terms.KINETIC, prepare.TASKS, field.START, field.ADD_POTENTIAL, field.ADD_KINETIC, field.SUM, field.WRITE,
     dominant.NAME,
 )  # fmt: skip

@@ -26,9 +26,13 @@ LINE_FIELDS = (
     "x_low", "x_high", "along_low", "along_high", "beside_low", "beside_high",
 )  # fmt: skip
 """One segment of one static line."""
-CPU_RUN, CPU_GROUP = 256, 16
+CPU_RUN, CPU_GROUP = 512, 16
 """Longest run of cells and most slices for one task on the CPU; CUDA takes one block of one slice."""
-MOST_SEGMENTS = HISTORY_FRAMES + PREDICTION_FRAMES + 2
-"""Of one path: through all frames and a metre beyond both ends."""
+MOST_VERTICES = HISTORY_FRAMES + PREDICTION_FRAMES + 3
+"""Of one path: all frames, the current state, and a metre beyond both ends."""
+FAR = 1.0e4
+"""How far a path's ends go on straight [m]."""
+STRAIGHT = 1.0e-7
+"""Neighbouring segments that turn by less are one [rad]."""
 FAR_STEP = 1.0
 """Distance of the nodes of the far field, at most [m]."""

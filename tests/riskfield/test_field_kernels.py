@@ -150,7 +150,7 @@ def test_a_frame_leaves_the_earlier_messages_alone(field):
 
 def test_wide_grids_are_computed_in_several_runs(risk):
     wide = RiskfieldSettings(
-        ahead=10, ahead_most=10, behind=10, width=80, h=0.25, slices=2, dtype="float32", accuracy="exact"
+        ahead=10, ahead_most=10, behind=10, width=160, h=0.25, slices=2, dtype="float32", accuracy="exact"
     )
     assert wide.width / wide.h > layout.CPU_RUN
     narrow = RiskField(wide, risk, "cpu")

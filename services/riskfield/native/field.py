@@ -85,8 +85,8 @@ ADD_KINETIC = """
         }
         for (int r = 0; r < 4; ++r) {
             const float x = (4 * block + r + 0.5f) * h;
-            int found = 0, lo = c1, hi = c0, seg[SEGMENTS], from[SEGMENTS], upto[SEGMENTS];
-            for (int k = first; k <= last && found < SEGMENTS; ++k) {
+            int found = 0, lo = c1, hi = c0, seg[VERTICES], from[VERTICES], upto[VERTICES];
+            for (int k = first; k <= last; ++k) {
                 const Segment& g = path[k];
                 if (x < g.x_low - width || x > g.x_high + width) continue;
                 // inside a bend the shared arc length lies up to its neighbours' turn off the segment's own

@@ -7,7 +7,7 @@ SIZES = """
 #ifdef __CUDA_ARCH__
     const int MOST = 16, W = 1, G = 1;
 #else
-    const int MOST = 256, W = 16, G = 16;
+    const int MOST = 512, W = 16, G = 16;
 #endif
     const int PITCH = MOST + 2 * W;
     const float h = p.h, inverse_h = 1.0f / p.h;

@@ -1,4 +1,4 @@
-"""What the slices share, computed before them: far field of each, static layer, and which segments cross which rows."""
+"""What the slices share, computed before them: far field of each, static layer, and the paths."""
 
 FAR = """
     // two levels: the smooth far field of one row of nodes of one slice, brought to the columns of the fine grid.
@@ -85,26 +85,6 @@ STATIC = """
     };
 """
 
-CROSSINGS = """
-    // the first and the last segment of one object's path that may reach each row of blocks
-    auto crossings = [&](int n) {
-        int* span = p.crossings.data + (long long)n * blocks * 2;
-        for (int b = 0; b < blocks; ++b) { span[2 * b] = 1 << 30; span[2 * b + 1] = -1; }
-        const Segment* path = (const Segment*)(p.segments.data + (long long)n * p.segments_most * NS);
-        const float width = p.widths.data[n], per = 0.25f * inverse_h;
-        for (int k = 0; k < p.segments_most; ++k) {
-            if (path[k].x_low > path[k].x_high) break;  // padding
-            float a = (path[k].x_low - width) * per, z = (path[k].x_high + width) * per;
-            if (z < 0.0f || a >= (float)blocks) continue;
-            a = a > 0.0f ? a : 0.0f; z = z < (float)(blocks - 1) ? z : (float)(blocks - 1);
-            for (int b = (int)a; b <= (int)z; ++b) {
-                span[2 * b] = k < span[2 * b] ? k : span[2 * b];
-                span[2 * b + 1] = k;
-            }
-        }
-    };
-"""
-
 TASKS = """
     const int objects_count = p.counts.data[0], lines_count = p.counts.data[1];
 """
@@ -118,6 +98,6 @@ PREPARE = """
         const int t = task - far_tasks, c0 = (t % runs) * p.run;
         static_run(t / runs, c0, c0 + p.run < p.columns ? c0 + p.run : p.columns);
     } else if (task - far_tasks - static_tasks < objects_count) {
-        crossings(task - far_tasks - static_tasks);
+        path_rows(task - far_tasks - static_tasks);
     }
 """
