@@ -117,3 +117,8 @@ def one_way(line: F64, lanes: int = 2, width: float = 3.5, limit: float = 13.9, 
         )
         for k in range(lanes)
     ]
+
+
+def smooth(line: F64) -> Polyline:
+    """The line with points every half metre."""
+    return Polyline.of(line).resampled(0.5)
