@@ -27,8 +27,11 @@ def register(app: typer.Typer) -> None:
 
 
 def review(
-    file: Annotated[
-        Path, typer.Argument(help="A recording, as `forefield run --record` writes it.", metavar="RUN.rrd")
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="A recording, as `forefield run --record` writes it, or all its pieces.", metavar="RUN.rrd …"
+        ),
     ],
     html: Annotated[
         Path | None,
@@ -45,12 +48,12 @@ def review(
         from evaluation.review.tables import ReviewError
 
         if html is None and json_ is None:
-            html = file.with_suffix(".review.html")
+            html = files[0].with_suffix(".review.html")
         writable("--html", html)
         writable("--json", json_)
         console = Console()
         try:
-            found = command.review(file)
+            found = command.review(*sorted(set(files), key=_piece))
             if json_ is not None:
                 write(json_, found.result)
             if html is not None:
@@ -58,8 +61,24 @@ def review(
         except ReviewError as e:
             raise ConfigError(str(e)) from None
         console.print(command.table(found.result))
+        for further in _further(files):
+            say(f"[yellow]warning[/] {escape(str(further))} goes on with it: name all pieces to review them together")
         if html is not None:
             say(f"open the review in a browser:  {escape(str(html))}")
+
+
+def _piece(path: Path) -> tuple[str, str]:
+    """Pieces of one recording in their order: RUN.rrd, RUN.0002.rrd, …"""
+    stem, dot, number = path.stem.rpartition(".")
+    return (str(path.parent / stem), number) if dot and number.isdigit() else (str(path.parent / path.stem), "")
+
+
+def _further(files: list[Path]) -> list[Path]:
+    """The piece that follows those given, if it lies beside them."""
+    last = sorted(files, key=_piece)[-1]
+    base, number = _piece(last)
+    following = Path(f"{base}.{int(number or 1) + 1:04d}{last.suffix}")
+    return [following] if following.is_file() else []
 
 
 def compare(

@@ -37,7 +37,8 @@ def write(a: Review, b: Review, found: dict[str, Any], out: Path) -> None:
         stream.set_sinks(rr.FileSink(draft), default_blueprint=blueprint(a, b))
         stream.send_recording_name(f"{a.recording.path.name} | {b.recording.path.name}")
         for prefix, review in zip(PREFIXES, (a, b), strict=True):
-            stream.send_chunks(shifted(review.recording.path, prefix, review.drive.began))
+            for path in review.recording.paths:
+                stream.send_chunks(shifted(path, prefix, review.drive.began))
             for series, name in SERIES.items():
                 style = rr.SeriesLines(
                     names=[f"{name} {prefix.upper()}"], colors=[_shade(prefix, series)], widths=[1.6]

@@ -33,13 +33,13 @@ class Review:
     result: dict[str, Any]
 
 
-def review(path: Path) -> Review:
-    """Read and judge a recording.
+def review(*paths: Path) -> Review:
+    """Read and judge a recording, all its pieces together.
 
     Raises:
         ReviewError: it cannot be reviewed; one line that says why.
     """
-    recording = load(path)
+    recording = load(*paths)
     drive = drive_of(recording)
     held = bounds_.bounds(recording.configuration)
     errors = hindsight.errors(recording)

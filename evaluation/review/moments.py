@@ -5,6 +5,7 @@ Coordinates are those of the drawing: the `map` frame less the recording's origi
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -63,17 +64,17 @@ class Moment:
     decided: tuple[float, float] | None = None
 
 
-def drawn_at(path: Path) -> F64:
+def drawn_at(paths: Sequence[Path]) -> F64:
     """When plans were drawn, increasing [s] of the recording.
 
     Raises:
         ReviewError: see `tables.chunks`.
     """
-    at = [_ns(c.to_record_batch()) for c in chunks(path, [_ANCHOR]) if not c.is_static]
+    at = [_ns(c.to_record_batch()) for p in paths for c in chunks(p, [_ANCHOR]) if not c.is_static]
     return np.unique(np.concatenate(at)) * 1e-9 if at else np.zeros(0)
 
 
-def moments(path: Path, wanted: Sequence[float]) -> list[Moment]:
+def moments(paths: Sequence[Path], wanted: Sequence[float]) -> list[Moment]:
     """What stood in the picture at each wanted time of the recording [s].
 
     Raises:
@@ -83,7 +84,7 @@ def moments(path: Path, wanted: Sequence[float]) -> list[Moment]:
         return []
     ns = np.rint(np.asarray(wanted, dtype=np.float64) * 1e9).astype(np.int64) + 1000  # less than any two rows apart
     best: list[dict[str, tuple[int, Any]]] = [{} for _ in wanted]
-    for chunk in chunks(path, list(_ENTITIES)):
+    for chunk in itertools.chain.from_iterable(chunks(path, list(_ENTITIES)) for path in paths):
         if chunk.is_static:
             continue
         name, batch = _ENTITIES[chunk.entity_path], chunk.to_record_batch()

@@ -108,9 +108,9 @@ def page(
 
 def _cards(recording: Recording, drive: Drive, result: dict[str, Any], steps: Steps) -> Iterator[Card]:
     found = drive.interventions
-    drawn = drawn_at(recording.path) if found else np.zeros(0)
+    drawn = drawn_at(recording.paths) if found else np.zeros(0)
     chosen = [shown(recording, drive, i, drawn) for i in found]
-    drawings = moments(recording.path, [c.t for c in chosen])
+    drawings = moments(recording.paths, [c.t for c in chosen])
     for k in steps(range(len(found))):
         yield _card(k, recording, drive, found[k], result["interventions"][k], chosen[k], drawings[k])
 

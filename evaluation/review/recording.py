@@ -98,7 +98,8 @@ class Line:
 class Recording:
     """A recording, but for its pictures of the field (`pictures.py` reads those it needs)."""
 
-    path: Path
+    paths: tuple[Path, ...]
+    """Its pieces, in the order of time."""
     name: str
     configuration: dict[str, Any]
     ego: States
@@ -120,6 +121,11 @@ class Recording:
     road: list[Line] = field(default_factory=list)
 
     @property
+    def path(self) -> Path:
+        """Its first piece."""
+        return self.paths[0]
+
+    @property
     def run_began(self) -> float:
         """Time 0 of the run, as the rig told [s]; without a rig the begin of the recording."""
         told = [row for said in self.statuses.values() for row in said]
@@ -127,18 +133,19 @@ class Recording:
         return max(min(began), 0.0) if began else 0.0
 
 
-def load(path: Path) -> Recording:
-    """Read a recording.
+def load(*paths: Path) -> Recording:
+    """Read a recording, all its pieces together.
 
     Raises:
         ReviewError: not a recording of Forefield, one of another version, or damaged.
     """
-    tables = read(path, WANTED)
-    _check_version(path, tables)
+    for piece in paths:
+        _check_version(piece, read([piece], ["/account", "/__properties/**"]))
+    path, tables = paths[0], read(paths, WANTED)
     if "/account/ego" not in tables:
         raise ReviewError(f"{path}: no ego was heard while it was recorded: there is no drive to review")
     try:
-        return _typed(path, tables)
+        return _typed(paths, tables)
     except (msgspec.MsgspecError, KeyError, IndexError, ValueError, TypeError) as e:
         raise ReviewError(f"{path}: its account cannot be understood: {e}") from None
 
@@ -159,7 +166,7 @@ def _check_version(path: Path, tables: dict[str, Any]) -> None:
         raise ReviewError(f"{path}: its account is of version {written}, this reads {account.VERSION[0]}.x: {told}")
 
 
-def _typed(path: Path, tables: dict[str, Any]) -> Recording:
+def _typed(paths: tuple[Path, ...], tables: dict[str, Any]) -> Recording:
     about = tables.get("/__properties/forefield")
     world = tables.get("/world")
     origin = (0.0, 0.0)
@@ -171,7 +178,7 @@ def _typed(path: Path, tables: dict[str, Any]) -> Recording:
     size = tables.get("/account/ego/size")
     scale = tables.get("/account/scale")
     return Recording(
-        path=path,
+        paths=paths,
         name=strings(about, "scenario")[-1] if about is not None else "live",
         configuration=json.loads(strings(about, "configuration")[-1] or "{}") if about is not None else {},
         ego=_ego(tables["/account/ego"]),

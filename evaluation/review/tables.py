@@ -58,14 +58,14 @@ def chunks(path: Path, content: Sequence[str]) -> Iterator[Chunk]:
             raise ReviewError(f"{path}: damaged: {text.splitlines()[0].rpartition(': ')[2]}") from None
 
 
-def read(path: Path, content: Sequence[str]) -> dict[str, pa.Table]:
-    """The entities named that hold anything: path → table, sorted by `t` where it has times.
+def read(paths: Sequence[Path], content: Sequence[str]) -> dict[str, pa.Table]:
+    """The entities named that hold anything, of all pieces together: path → table, sorted by `t` where it has times.
 
     Raises:
         ReviewError: see `chunks`.
     """
     found: dict[str, list[pa.RecordBatch]] = {}
-    for chunk in chunks(path, content):
+    for chunk in itertools.chain.from_iterable(chunks(path, content) for path in paths):
         batch = chunk.to_record_batch()
         batch = batch.select([n for n in batch.schema.names if n not in _OF_RERUN])
         found.setdefault(chunk.entity_path, []).append(batch.replace_schema_metadata(None))
