@@ -1,4 +1,4 @@
-"""The commands: run, scenarios, services, view, health, bench pipeline.
+"""The commands: run, scenarios, services, health, bench pipeline; the others stand in the files *_commands.py.
 
 Exit codes: 0 done; 1 failed (a collision at fault, a service that died, an unhealthy system); 2 bad input;
 130 and 143 stopped by Ctrl-C and SIGTERM.
@@ -6,9 +6,6 @@ Exit codes: 0 done; 1 failed (a collision at fault, a service that died, an unhe
 
 from __future__ import annotations
 
-import importlib.util
-import os
-import sys
 import threading
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,6 +25,7 @@ from rig import (
     health_table,
     planning_commands,
     prediction_commands,
+    recording_commands,
     report,
     review_commands,
     session,
@@ -51,6 +49,7 @@ hazard_commands.register(app)
 review_commands.register(app)
 planning_commands.register(app)
 certificate_commands.register(app)
+recording_commands.register(app)
 
 Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
 Sets = Annotated[
@@ -159,18 +158,6 @@ def services(
                 while True:
                     crew.check()
                     threading.Event().wait(0.2)
-
-
-@app.command()
-def view(file: Annotated[Path, typer.Argument(help="A recording (.rrd).")]) -> None:
-    """Open a recording in the Rerun viewer."""
-    with exits():
-        if not file.is_file():
-            raise ConfigError(f"{file}: no such recording; `forefield run --scenario demo --record {file}` makes one")
-        if importlib.util.find_spec("rerun") is None:
-            raise ConfigError("the viewer comes with rerun-sdk: pip install 'forefield[viz]'")
-        sys.stdout.flush()
-        os.execv(sys.executable, [sys.executable, "-m", "rerun", str(file)])
 
 
 @app.command()

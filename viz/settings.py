@@ -24,9 +24,9 @@ class VizSettings(Settings, frozen=True):
     """Address of that server; anything but loopback shows the drive to everyone who reaches it."""
     server_memory: str = "256MiB"
     """What the server keeps for a viewer that joins late; the oldest is dropped first."""
-    rotate_mib: Annotated[float, Meta(ge=0.0)] = 2048.0
+    rotate_mib: Annotated[float, Meta(ge=0.0)] = 1024.0
     """A piece of this size is finished and the next begun [MiB]; 0: any size. A piece is complete by itself."""
-    rotate_minutes: Annotated[float, Meta(ge=0.0)] = 30.0
+    rotate_minutes: Annotated[float, Meta(ge=0.0)] = 15.0
     """So is a piece of this age [min]; 0: any age."""
     budget_mib: Annotated[float, Meta(ge=0.0)] = 20480.0
     """All pieces together take no more; the oldest is removed first [MiB]. An hour takes some 4 GiB. 0: no budget."""
@@ -35,7 +35,7 @@ class VizSettings(Settings, frozen=True):
     footer: bool = True
     """Finish the file with an index when it is closed. It costs memory while recording; without it a file still opens,
     and `rerun rrd optimize IN -o OUT` adds it afterwards."""
-    flush_s: Positive = 0.8
+    flush_s: Positive = 0.6
     """Rows wait this long to share a chunk [s]: smaller files, and as much is lost with a process that is killed."""
     live_flush_s: Positive = 0.2
     """The same for live viewers: the picture is later by as much [s]."""
