@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from common.geometry import Polyline, wrap_angle
+from common.geometry import Polyline
 from common.messages import F64, Closures, Ego, Map, Objects, Plan, Route, Stamped, Trajectory
 from evaluation.planning import corridor
 from evaluation.planning.car_following import Following, idm
@@ -41,6 +41,9 @@ class _Way:
         for i in range(len(v) - 2, -1, -1):
             v[i] = min(v[i], math.sqrt(v[i + 1] ** 2 + 2 * CURVE_BRAKE * step))
         self.speed: F64 = v
+        self._s = np.arange(len(p)) * step
+        self._heading = np.concatenate((heading[:1], 0.5 * (heading[1:] + heading[:-1]), heading[-1:]))
+        self._kappa = np.gradient(self._heading) / step
         self.step = step
         self.stops = corridor.stops_along(self.line, road, half_width)
         goal = route.goal
@@ -59,6 +62,14 @@ class _Way:
                 limit[on] = np.minimum(limit[on], lane.speed_limit)
         limit = np.minimum(limit, top)
         return np.where(np.isfinite(limit), limit, DEFAULT_LIMIT)
+
+    def at(self, s: F64) -> tuple[F64, F64, F64, F64]:
+        """x, y, heading, curvature at arc lengths `s`; straight beyond the end."""
+        p, over = self.line.points, np.maximum(s - self._s[-1], 0.0)
+        heading = np.interp(s, self._s, self._heading)
+        x = np.interp(s, self._s, p[:, 0]) + over * np.cos(heading)
+        y = np.interp(s, self._s, p[:, 1]) + over * np.sin(heading)
+        return x, y, heading, np.interp(s, self._s, self._kappa)
 
     def wanted(self, s: float) -> float:
         """Speed wanted at arc length s [m/s]."""
@@ -139,20 +150,14 @@ class IdmDriver:
         d = d0 * (1.0 - u**3 * (10.0 - 15.0 * u + 6.0 * u * u))
         slope = -d0 * 30.0 * u * u * (1.0 - u) ** 2 / length
 
-        def smooth_heading(x: F64) -> F64:
-            ahead, behind = way.line.at(x + 1.0), way.line.at(x - 1.0)
-            return np.unwrap(np.arctan2(ahead[:, 1] - behind[:, 1], ahead[:, 0] - behind[:, 0]))
-
-        along = smooth_heading(at)
-        kappa = (smooth_heading(at + 1.0) - smooth_heading(at - 1.0)) / 2.0
-        kappa = np.asarray(wrap_angle(kappa * 2.0)) / 2.0
-        p = way.line.at(at) + d[:, None] * np.stack((-np.sin(along), np.cos(along)), axis=-1)
+        x, y, along, kappa = way.at(at)
         heading = along + np.arctan(slope)
+        x, y = x - d * np.sin(along), y + d * np.cos(along)
         half = e.wheelbase / 2
         return Trajectory(
             t=np.ascontiguousarray(t, dtype=np.float64),
-            x=p[:, 0] + half * np.cos(heading),
-            y=p[:, 1] + half * np.sin(heading),
+            x=x + half * np.cos(heading),
+            y=y + half * np.sin(heading),
             heading=heading,
             curvature=np.ascontiguousarray(np.clip(kappa, -0.3, 0.3)),
             speed=np.asarray(v, dtype=np.float64),

@@ -280,7 +280,9 @@ class Reactive:
     @staticmethod
     def s_at(u: _User, row: float) -> float:
         """Arc length of the record at a row [m]."""
-        return float(np.interp(row, np.arange(len(u.s)), u.s))
+        i = min(max(math.floor(row), 0), len(u.s) - 1)
+        j = min(i + 1, len(u.s) - 1)
+        return float(u.s[i] + min(max(row - i, 0.0), 1.0) * (u.s[j] - u.s[i]))
 
     def _move(self, u: _User, a: float) -> None:
         """One frame on: as recorded if nothing holds him up, otherwise as his acceleration allows."""
@@ -318,9 +320,8 @@ class Reactive:
     @staticmethod
     def _row_at(u: _User, s: float) -> float:
         """The row at which the record has driven `s`, at most one frame on."""
-        i = math.floor(u.row)
         lo, hi = u.row, min(u.row + 1.0, len(u.s) - 1.0)
-        a, b = (float(np.interp(r, np.arange(i, min(i + 3, len(u.s))), u.s[i : i + 3])) for r in (lo, hi))
+        a, b = Reactive.s_at(u, lo), Reactive.s_at(u, hi)
         return lo if b - a < 1e-9 else lo + (hi - lo) * min(max((s - a) / (b - a), 0.0), 1.0)
 
     # --- another lane ---

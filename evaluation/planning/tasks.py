@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from common.config import Tree
-from evaluation.planning.drivers import driver
-from evaluation.planning.loop import drive
+from evaluation.planning.drivers import Alone, Cores, driver
+from evaluation.planning.idm_driver import IdmDriver
+from evaluation.planning.loop import DriveResult, drive
 from evaluation.planning.measures import measured
 from evaluation.planning.reactive import traffic
 from evaluation.planning.recorder import Recorder
@@ -33,21 +34,29 @@ def run(task: Task) -> dict[str, dict[str, Any]]:
     """Drive it with every planner; an error inside is told under `error`, and the others go on."""
     _one_thread()
     found: dict[str, dict[str, Any]] = {}
-    try:
-        yard = yardstick(task.scenario, task.traffic, task.tree)
-    except Exception as e:  # whatever a strange world does, the other worlds are still to be driven
-        return {p: {"error": f"the yardstick failed: {type(e).__name__}: {e}"} for p in task.planners}
+    driven: dict[str, tuple[DriveResult, Recorder]] = {}
     for planner in task.planners:
-        record = Recorder()
         try:
-            who = driver(planner, task.tree)
-            others = traffic(task.scenario, task.traffic)
-            result = drive(task.scenario, task.tree, cores=who, traffic=others, watch=record)
+            driven[planner] = _drive(task, driver(planner, task.tree))
+        except Exception as e:  # whatever a strange world does, the other worlds are still to be driven
+            found[planner] = {"error": f"{type(e).__name__}: {e}"}
+    try:
+        yard = yardstick(task.scenario, lambda: (driven.get("idm") or _drive(task, IdmDriver()))[1])
+    except Exception as e:
+        return {p: {"error": f"the yardstick failed: {type(e).__name__}: {e}"} for p in task.planners}
+    for planner, (result, record) in driven.items():
+        try:
             entry = measured(task.scenario, result, record, yard, task.family)
             found[planner] = {**entry, "traffic": task.traffic}
         except Exception as e:
-            found[planner] = {"error": f"{type(e).__name__}: {e}"}
+            found[planner] = {"error": f"not measured: {type(e).__name__}: {e}"}
     return found
+
+
+def _drive(task: Task, who: Cores | Alone) -> tuple[DriveResult, Recorder]:
+    record = Recorder()
+    others = traffic(task.scenario, task.traffic)
+    return drive(task.scenario, task.tree, cores=who, traffic=others, watch=record), record
 
 
 def _one_thread() -> None:

@@ -7,14 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common import config
 from common.geometry import Polyline
 from common.messages import FRAME_S
-from evaluation.planning.idm_driver import IdmDriver
-from evaluation.planning.loop import drive
-from evaluation.planning.reactive import traffic
 from evaluation.planning.recorder import Recorder
-from evaluation.planning.traffic import Kind
 from rig.world import Scenario
 
 
@@ -27,8 +22,11 @@ class Yardstick:
     distance: Callable[[float], float]
 
 
-def yardstick(scenario: Scenario, kind: Kind, tree: config.Tree) -> Yardstick:
-    """The recorded human; else whoever reached the goal at a known time; else the IDM in the same traffic."""
+def yardstick(scenario: Scenario, idm: Callable[[], Recorder]) -> Yardstick:
+    """The recorded human; else whoever reached the goal at a known time; else the IDM in the same traffic.
+
+    `idm` drives it, if need be.
+    """
     human = scenario.human
     if human is not None and human.last > 10:
         first = max(-human.frame0, 0)
@@ -44,6 +42,5 @@ def yardstick(scenario: Scenario, kind: Kind, tree: config.Tree) -> Yardstick:
         far, v, end = float(at[1] - at[0]), scenario.ego0.speed, scenario.human_goal_s
         # from the first speed, at a constant acceleration, so as to be at the goal in time
         return Yardstick("human", end, lambda t: v * t + (far - v * end) * (t / end) ** 2)
-    record = Recorder()
-    drive(scenario, tree, cores=IdmDriver(), traffic=traffic(scenario, kind), watch=record)
+    record = idm()
     return Yardstick("idm", record.t[-1] if record.t else 0.0, record.distance)
