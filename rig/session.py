@@ -76,7 +76,8 @@ def running(
     """Router and services, and the configuration with which they are reached; nothing of our own if attached.
 
     Raises:
-        ConfigError: a package is missing, the router cannot listen, the logs cannot be written.
+        ConfigError: a package is missing, the router cannot listen, the logs cannot be written, or `bus.tls` is set:
+            one certificate cannot be everyone's.
         LaunchError: a process cannot be started.
     """
     if attach:
@@ -86,7 +87,13 @@ def running(
         module, extra = NEEDS.get(name, ("", ""))
         if module and importlib.util.find_spec(module) is None:
             raise ConfigError(f"{name} needs {module}: pip install 'forefield[{extra}]'")
-    with router(listen=listen, settings=config.section(tree, "bus", BusSettings)) as endpoint:
+    bus_settings = config.section(tree, "bus", BusSettings)
+    if bus_settings.tls.wanted:
+        raise ConfigError(
+            "bus.tls is for one process that joins a secured router (python -m common.router --secure FOLDER): "
+            "run with --attach, or without bus.tls"
+        )
+    with router(listen=listen, settings=bus_settings) as endpoint:
         reach = endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
         tree = with_keys(tree, "bus", connect=[reach], zenoh_config="")
         with launch(tree, names, logs=logs) as crew:

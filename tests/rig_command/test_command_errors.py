@@ -51,6 +51,7 @@ def nothing_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
         (["view", "nothing.rrd"], ["nothing.rrd", "no such recording"]),
         (["health", "--set", "bus.conect=1"], ["conect", "connect"]),
         (["services", "--listen", "tcp/256.1.1.1:99999"], ["256.1.1.1"]),
+        (["services", "--set", "bus.tls.ca=x"], ["bus.tls", "--attach"]),
     ],
 )  # fmt: skip
 def test_bad_input_is_code_2_and_one_line(arguments, words, tmp_path, monkeypatch):
