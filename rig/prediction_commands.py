@@ -176,7 +176,8 @@ def eval_prediction(
         for site in result["sites"] if len(result["sites"]) > 1 else []:
             console.print(report.table(result, group, site))
         console.print(report.table(result, group))
-        console.print(report.spread_table(result))
+        if any(result["spread"].values()):
+            console.print(report.spread_table(result))
 
 
 def eval_ablation(

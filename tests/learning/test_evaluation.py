@@ -90,6 +90,37 @@ def test_bad_input_ends_with_code_2_and_says_what_is_wrong(arguments, said):
     assert done.exit_code == 2 and said in " ".join(done.output.split())
 
 
+def without_column(rows):
+    return [",".join(r.split(",")[:5] + r.split(",")[6:]) for r in rows]
+
+
+def with_nan(rows):
+    return [*rows[:7], rows[7].replace(rows[7].split(",")[5], "nan"), *rows[8:]]
+
+
+def with_a_row_twice(rows):
+    return [*rows[:9], rows[8], *rows[9:]]
+
+
+def at_five_hertz(rows):
+    return [rows[0], *rows[1::2]]
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "line", "why"),
+    [(without_column, 1, "missing columns x"), (with_nan, 8, "x is nan"), (with_a_row_twice, 10, "stands there twice"),
+     (at_five_hertz, 3, "follows")],
+)  # fmt: skip
+@pytest.mark.parametrize("command", [["eval", "prediction"], ["train", "predictor", "--out", "w"]])
+def test_a_bad_table_is_refused_with_file_line_and_reason(command, spoilt, line, why, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = table(tmp_path / "bad.csv", [traffic(k=100)])
+    file.write_text("".join(spoilt(file.read_text().splitlines(keepends=True))))
+    done = CliRunner().invoke(app, [*command, "--tracks", str(file)])
+    said = " ".join(done.output.split())
+    assert done.exit_code == 2 and f"bad.csv:{line}" in said and why in said, said
+
+
 def test_recordings_of_one_name_from_two_files_stay_apart(weights, tmp_path):
     files = [table(tmp_path / f"{s}.csv", [traffic("same", k=100, seed=i)]) for i, s in enumerate("ab")]
     result = evaluate(track_cases(files, P, 20), Models.of(weights), PredictorSettings(), repeats=10)
