@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,18 +18,33 @@ from tests.security.bench import DAY, VEHICLE, arrived, control
 from tests.waiting import until
 
 
+EDGE = "edge"
+
+
 class Site:
-    """Certificates, or none, and how one joins a router with them."""
+    """Certificates of the vehicle and of the edge, or none, and how one joins a router with them."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
+        if folder is not None:  # as docs/deployment.md says it
+            certificates.make(folder / EDGE, EDGE, DAY / 2)
+            certificates.make(folder / VEHICLE, VEHICLE, DAY / 2, ca=folder / EDGE / "ca")
 
-    def settings(self, role: str, endpoint: str = "") -> BusSettings:
-        tls = TlsSettings.of(self.folder / role) if self.folder else TlsSettings()
+    @property
+    def protocol(self) -> str:
+        return "tls" if self.folder else "tcp"
+
+    def settings(self, role: str, endpoint: str = "", of: str = VEHICLE) -> BusSettings:
+        tls = TlsSettings.of(self.folder / of / role) if self.folder else TlsSettings()
         return BusSettings(connect=(endpoint,), tls=tls)
 
-    def secured(self, *routers: str) -> Secured | None:
-        return Secured((VEHICLE,), routers) if self.folder else None
+    def edge(self, *named: str, listen: str = "") -> AbstractContextManager[str]:
+        secured = Secured((VEHICLE,), named) if self.folder else None
+        return router(settings=self.settings("router", of=EDGE), secured=secured, listen=listen)
+
+    def car(self, upstream: str) -> AbstractContextManager[str]:
+        secured = Secured((VEHICLE,), (EDGE,)) if self.folder else None
+        return router(settings=self.settings("router"), secured=secured, upstream=[upstream])
 
     @contextmanager
     def joined(self, role: str, endpoint: str) -> Iterator[Bus]:
@@ -39,18 +54,13 @@ class Site:
 
 @pytest.fixture(params=["open", "secured"])
 def site(request: pytest.FixtureRequest, tmp_path: Path) -> Site:
-    if request.param == "open":
-        return Site(None)
-    certificates.make(tmp_path, VEHICLE, DAY)
-    return Site(tmp_path)
+    return Site(None if request.param == "open" else tmp_path)
 
 
 def test_both_sides_hear_each_other_and_the_late_get_what_is_latched(site: Site) -> None:
     with ExitStack() as stack:
-        edge = stack.enter_context(router(settings=site.settings("router"), secured=site.secured(VEHICLE)))
-        car = stack.enter_context(
-            router(settings=site.settings("router"), secured=site.secured(VEHICLE), upstream=[edge])
-        )
+        edge = stack.enter_context(site.edge(VEHICLE))
+        car = stack.enter_context(site.car(edge))
         vehicle = stack.enter_context(site.joined("vehicle", car))
         vehicle.publisher(topics.MAP).put(samples.world(), capture_ns=monotonic())
         planner = stack.enter_context(site.joined("planner", edge))
@@ -62,13 +72,10 @@ def test_both_sides_hear_each_other_and_the_late_get_what_is_latched(site: Site)
 
 
 def test_a_router_that_is_not_named_passes_nothing_on(tmp_path: Path) -> None:
-    certificates.make(tmp_path, VEHICLE, DAY)
     site = Site(tmp_path)
     with ExitStack() as stack:
-        edge = stack.enter_context(router(settings=site.settings("router"), secured=site.secured()))
-        car = stack.enter_context(
-            router(settings=site.settings("router"), secured=site.secured(VEHICLE), upstream=[edge])
-        )
+        edge = stack.enter_context(site.edge())
+        car = stack.enter_context(site.car(edge))
         there, here = (
             stack.enter_context(site.joined("vehicle", car)),
             stack.enter_context(site.joined("vehicle", edge)),
@@ -84,19 +91,16 @@ def test_a_router_that_is_not_named_passes_nothing_on(tmp_path: Path) -> None:
 
 
 def test_the_edge_may_come_later_and_may_come_back(site: Site) -> None:
-    protocol = "tls" if site.folder else "tcp"
-    endpoint = f"{protocol}/127.0.0.1:{free_port()}"
+    endpoint = f"{site.protocol}/127.0.0.1:{free_port()}"
     with ExitStack() as stack:
-        car = stack.enter_context(
-            router(settings=site.settings("router"), secured=site.secured(VEHICLE), upstream=[endpoint])
-        )
+        car = stack.enter_context(site.car(endpoint))
         vehicle = stack.enter_context(site.joined("vehicle", car))
         ego = vehicle.publisher(topics.EGO)
         beside = stack.enter_context(site.joined("planner", car)).inbox(topics.EGO)
         control(ego, beside)  # the vehicle does not wait for the edge
         for _ in range(2):
             with (
-                router(listen=endpoint, settings=site.settings("router"), secured=site.secured(VEHICLE)),
+                site.edge(VEHICLE, listen=endpoint),
                 site.joined("viz", endpoint) as watcher,
             ):
                 inbox = watcher.inbox(topics.EGO)
