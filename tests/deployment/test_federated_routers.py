@@ -17,7 +17,6 @@ from tests import samples
 from tests.security.bench import DAY, VEHICLE, arrived, control
 from tests.waiting import until
 
-
 EDGE = "edge"
 
 
