@@ -63,8 +63,6 @@ def car(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Car]:
     if "not permitted" in made.stderr:
         pytest.skip("only root may give the keys to the containers' user")
     assert made.returncode == 0, made.stderr
-    for parent in (folder, *folder.parents[:2]):  # pytest's own folders are closed to the containers' user
-        parent.chmod(0o755)
     port = free_port()
     stack = Project(
         "forefield-secured", FILES,

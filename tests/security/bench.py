@@ -68,18 +68,33 @@ def bench(folder: Path) -> Iterator[Bench]:
         yield Bench(folder, endpoint)
 
 
-def session(settings: BusSettings, **changes: Any) -> zenoh.Session:
-    """A session without our bus around it; `changes` replace keys of the TLS section, None removes one."""
+def attempt(settings: BusSettings, **changes: Any) -> zenoh.Session:
+    """One attempt to open a session without our bus around it.
+
+    `changes` replace keys of Zenoh's TLS section, None removes one. Raises ZError if it is not let in in time.
+    """
     config = bus_config.client(settings)
     tls = config["transport"]["link"].get("tls", {}) | changes
     config["transport"]["link"]["tls"] = {k: v for k, v in tls.items() if v is not None}
     return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
 
 
+def session(settings: BusSettings) -> zenoh.Session:
+    """A session of somebody who is let in, however busy the machine is."""
+
+    def opened() -> zenoh.Session | None:
+        try:
+            return attempt(settings)
+        except zenoh.ZError:
+            return None
+
+    return until(opened, within_s=30, what="a session")
+
+
 def refused(settings: BusSettings, **changes: Any) -> bool:
-    """Whether a session cannot even be opened; one that opens tries to put an `ego` first."""
+    """Whether a session cannot even be opened; one that opens tries to put an `ego`."""
     try:
-        opened = session(settings, **changes)
+        opened = attempt(settings, **changes)
     except zenoh.ZError:
         return True
     with opened:
