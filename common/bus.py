@@ -17,6 +17,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from common.clock import Clock, monotonic
 from common.codec import RefusedError
 from common.config import ConfigError
 from common.health import Health
-from common.messages import Cause, Header, Message, Stamped
+from common.messages import Cause, Header, Message, Stamped, StepInputs
 from common.order import Order
 from common.topics import VERSION_MAJOR, VERSION_MINOR, Delivery, Topic, alive_key, checked_vehicle, key
 
@@ -133,6 +134,19 @@ class Inbox:
         )
 
 
+@dataclass(frozen=True)
+class Raw:
+    """A message as it travels."""
+
+    topic: Topic
+    attachment: bytes | None
+    """The packed header."""
+    payload: bytes
+    encoding: str
+    received_ns: int
+    """When it arrived, on the receiver's monotonic clock [ns]."""
+
+
 class Publisher:
     """Sends one topic. Made by `Bus.publisher`."""
 
@@ -147,8 +161,9 @@ class Publisher:
         self.last_work_ns = 0
 
     def put(
-        self, message: Message, *, capture_ns: int, cause: Cause | None = None, arrived_ns: int | None = None
-    ) -> Cause:
+        self, message: Message, *, capture_ns: int, cause: Cause | None = None, arrived_ns: int | None = None,
+        step: StepInputs | None = None,
+    ) -> Cause:  # fmt: skip
         """Send a message.
 
         Args:
@@ -156,6 +171,7 @@ class Publisher:
             capture_ns: when its content was true, on this process' monotonic clock [ns].
             cause: the `objects` message that it descends from.
             arrived_ns: when the input that it rests on arrived [ns]; gives `work_ns`.
+            step: what the step that made it had before it.
 
         Returns:
             Boot and sequence number of this message: the cause of what will descend from it.
@@ -177,12 +193,17 @@ class Publisher:
                 age_ns=max(now - capture_ns, 0),
                 work_ns=0 if arrived_ns is None else max(now - arrived_ns, 0),
                 cause=cause,
+                step=step,
                 body=body,
             )
             self._raw.put(payload, attachment=codec.encode_header(self.topic, header))
             self._seq += 1
             self.last_work_ns = header.work_ns
             return Cause(self._boot, header.seq)
+
+    def put_raw(self, attachment: bytes | None, payload: bytes, encoding: str) -> None:
+        """Send what was recorded, as it is: nothing is checked here, the receivers do."""
+        self._raw.put(payload, attachment=attachment, encoding=encoding)
 
 
 class Bus:
@@ -207,12 +228,7 @@ class Bus:
     def inbox(self, topic: Topic, *, keep: int = 1) -> Inbox:
         """Subscribe to a topic, keeping only its newest message; `keep` > 1, for who records: so many, in order."""
         inbox = Inbox(topic, self.health, self._clock, self._wake, self._transit, keep)
-        k = key(self.vehicle, topic)
-        if topic.delivery is Delivery.LATCHED:
-            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
-            self._held.append(zenoh.ext.declare_advanced_subscriber(self._session, k, inbox.arrive, history=history))
-        else:
-            self._held.append(self._session.declare_subscriber(k, inbox.arrive))
+        self._subscribe(topic, inbox.arrive)
         return inbox
 
     def watch(self, topic: Topic, seen: Callable[[Header, int], None]) -> None:
@@ -225,6 +241,33 @@ class Bus:
                 seen(codec.decode_header(topic, None if attachment is None else attachment.to_bytes()), now)
 
         self._held.append(self._session.declare_subscriber(key(self.vehicle, topic), arrive))
+
+    def tap(self, topic: Topic, heard: Callable[[Raw], None]) -> None:
+        """Tell `heard`, in a Zenoh thread, every message of a topic as it came: unread, unchecked, none left out."""
+
+        def arrive(sample: zenoh.Sample) -> None:
+            now = self._clock()
+            if sample.kind == zenoh.SampleKind.PUT:
+                attachment = sample.attachment
+                heard(
+                    Raw(
+                        topic,
+                        None if attachment is None else attachment.to_bytes(),
+                        sample.payload.to_bytes(),
+                        str(sample.encoding),
+                        now,
+                    )
+                )
+
+        self._subscribe(topic, arrive)
+
+    def _subscribe(self, topic: Topic, arrive: Callable[[zenoh.Sample], None]) -> None:
+        k = key(self.vehicle, topic)
+        if topic.delivery is Delivery.LATCHED:
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+            self._held.append(zenoh.ext.declare_advanced_subscriber(self._session, k, arrive, history=history))
+        else:
+            self._held.append(self._session.declare_subscriber(k, arrive))
 
     def publisher(self, topic: Topic) -> Publisher:
         """Prepare to send a topic."""

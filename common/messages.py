@@ -404,6 +404,23 @@ class Cause(Struct, frozen=True, array_like=True):
     seq: Annotated[int, Meta(ge=0, le=2**62)]
 
 
+class Used(Struct, frozen=True, array_like=True):
+    """A message that a step had before it, as its receiver knew it."""
+
+    topic: Name  # its suffix
+    boot: Name
+    seq: Annotated[int, Meta(ge=0, le=2**62)]
+    capture_ns: Annotated[int, Meta(ge=-(2**62), le=2**62)]  # on the receiver's monotonic clock
+    new: bool  # accepted since the step before
+
+
+class StepInputs(Struct, frozen=True, array_like=True):
+    """All that the step which made a message had before it: with the messages named here it can be repeated exactly."""
+
+    now_ns: Annotated[int, Meta(ge=-(2**62), le=2**62)]  # when it began, own monotonic clock
+    used: Annotated[list[Used], Meta(max_length=16)]
+
+
 class Header(Struct, frozen=True, kw_only=True):
     """What stands in the attachment of every message. Times in ns, on the sender's monotonic clock."""
 
@@ -417,6 +434,7 @@ class Header(Struct, frozen=True, kw_only=True):
     age_ns: Annotated[int, Meta(ge=0, le=2**62)]
     work_ns: Annotated[int, Meta(ge=0, le=2**62)] = 0
     cause: Cause | None = None
+    step: StepInputs | None = None  # of services: what the message was made from
     body: dict[str, Any] | None = None  # `risk` alone: the fields of the body that are not raw
 
 

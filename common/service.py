@@ -15,7 +15,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from common import config, logs
@@ -24,7 +24,7 @@ from common.clock import monotonic
 from common.codec import RefusedError
 from common.config import ConfigError, Tree
 from common.health import DEADLINE, Health
-from common.messages import Cause, Message, Stamped, State
+from common.messages import Cause, Message, Stamped, State, StepInputs, Used
 from common.process import Ending, ServiceSettings, reporting
 from common.topics import STATUS_OF, Topic
 
@@ -47,6 +47,8 @@ class Output:
     """When the input it rests on arrived, or when the step began [ns]."""
     state: State = "ready"
     reason: str = "running"
+    step: StepInputs | None = None
+    """Filled in by the loop: what the step had before it."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,17 @@ class Inputs:
     def fresh(self, topic: Topic) -> Stamped[Any] | None:
         """The last good message unless it is older than its topic allows."""
         return self.inboxes[topic.suffix].fresh(self.now_ns)
+
+    def named(self) -> StepInputs:
+        """The messages before this step, so that it can be repeated from a recording."""
+        return StepInputs(
+            self.now_ns,
+            [
+                Used(name, message.boot, message.seq, message.capture_ns, name in self.new)
+                for name, inbox in self.inboxes.items()
+                if (message := inbox.latest) is not None
+            ],
+        )
 
 
 Step = Callable[[Inputs], Output | Idle]
@@ -159,9 +172,10 @@ def _loop(
             due_ns = now + round((service.period_s + (service.grace_s if triggered else 0.0)) * 1e9)
             inputs = Inputs(inboxes, now, frozenset(new))
             new = set()
+            before = inputs.named()
             result = _step(health, step, inputs)
             if isinstance(result, Output):
-                send(result, min(wanted_ns, result.arrived_ns))
+                send(replace(result, step=before), min(wanted_ns, result.arrived_ns))
             else:
                 _say(health, result)
 
@@ -198,8 +212,9 @@ def _send(service: Service, health: Health, output: Publisher, result: Output, w
     suffix = service.publishes.suffix
     try:
         sent = output.put(
-            result.message, capture_ns=result.capture_ns, cause=result.cause, arrived_ns=result.arrived_ns
-        )
+            result.message, capture_ns=result.capture_ns, cause=result.cause, arrived_ns=result.arrived_ns,
+            step=result.step,
+        )  # fmt: skip
         health.worked(output.last_work_ns)
         health.count(f"{suffix}:sent")
         if (monotonic() - wanted_ns) * 1e-9 > service.period_s:

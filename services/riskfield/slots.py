@@ -11,8 +11,8 @@ from common.messages import NO_SLOT, U8, LeftOut, Slot
 MOST_SLOTS = 254
 """Slots of named sources; one more may say `other`."""
 HEADER_BYTES = 8 * 1024
-ENVELOPE_BYTES = 900
-"""Room for the rest of the header: the largest names, numbers, grid and array descriptions."""
+ENVELOPE_BYTES = 1200
+"""Room for the rest of the header: the largest names, numbers, grid, array descriptions, and the step's inputs."""
 LEFT_OUT_BYTES = 1200
 OTHER_ID = -1
 """Id of the slot `other` and of the entry that counts what no longer fits."""
