@@ -72,6 +72,12 @@ def run(
     with _progress(console, len(tasks)) as tell:
         for i, outcome in outcomes(tasks, jobs=jobs, cluster=cluster):
             found[i] = outcome
+            for planner, entry in outcome.items():
+                wrong = report.wrong(entry)
+                if wrong:
+                    console.print(
+                        f"{tasks[i].name} ({planner}): {wrong}", highlight=False, markup=False, soft_wrap=True
+                    )
             tell(tasks[i].name)
     scenarios: dict[str, dict[str, Any]] = {p: {} for p in dict.fromkeys(planners)}
     for task, outcome in zip(tasks, found, strict=True):

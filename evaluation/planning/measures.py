@@ -34,11 +34,12 @@ def measured(scenario: Scenario, result: DriveResult, record: Recorder, yard: Ya
     """
     ego = result.summary["ego"]
     collisions = [_judged(c, record, scenario) for c in ego["collisions"]]
-    found = emergencies(record)
+    crash = min((c["t"] for c in collisions), default=math.inf)
+    found = emergencies(record, crash)
     felt = motion(record.t, [e.speed for e in record.ego], [e.yaw_rate for e in record.ego])
-    urgent = emergency_times(record, found, felt.t_acceleration)
-    urgent_jerk = emergency_times(record, found, felt.t_jerk)
-    moving = np.array([record.ego[row].speed > 0.3 for row in record.at_frame])
+    urgent = emergency_times(record, found, felt.t_acceleration) | (felt.t_acceleration >= crash)
+    urgent_jerk = emergency_times(record, found, felt.t_jerk) | (felt.t_jerk >= crash)
+    moving = np.array([record.ego[row].speed > 0.3 and record.t[row] < crash for row in record.at_frame])
     end = min(result.duration_s, yard.end_s) if yard.end_s > 0 else result.duration_s
     area = RoadArea.of(scenario.map)
     overhang = area.overhang(record.ego) if area is not None else None

@@ -108,14 +108,11 @@ def cells(name: str, e: dict[str, Any]) -> list[str]:
         return [name, "failed", *[""] * (len(COLUMNS) - 3), e["error"]]
     collision = "at fault" if e["collision_at_fault"] else "not at fault" if e["collision"] else "none"
     goal = _number(e["goal_t"], 1) if e["goal"] else "no"
-    wrong = (
-        e["criterion"] if e["criterion"] is not None else (f"off road {e['off_road_m']} m" if e["off_road"] else "–")
-    )
     return [
         name, collision, _number(e["min_clearance_m"]), _number(e["min_ttc_s"], 1), goal,
         _number(e["mean_speed_mps"], 1),
         _percent(e["efficiency"]), _number(e["max_accel_lon"]), _number(e["max_accel_lat"]), _number(e["p95_jerk"]),
-        f"{e['emergency_share']:.0%}", f"{e['safe_stop_share']:.0%}", wrong or "ok",
+        f"{e['emergency_share']:.0%}", f"{e['safe_stop_share']:.0%}", wrong(e) or "ok",
     ]  # fmt: skip
 
 
@@ -126,15 +123,21 @@ def drives_table(planner: str, entries: Entries, *, only_failures: bool = False)
         out.add_column(
             column, justify="left" if column in ("scenario", "criterion") else "right", no_wrap=column != "criterion"
         )
-    rows = [cells(n, e) for n, e in entries.items() if not (only_failures and fine(e))]
+    rows = [cells(n, e) for n, e in entries.items() if wrong(e) or not only_failures]
     for row in rows:
         out.add_row(*row)
     return out if rows else None
 
 
-def fine(e: dict[str, Any]) -> bool:
-    """Whether a drive has nothing to explain."""
-    return "error" not in e and not e["collision_at_fault"] and not e["off_road"] and not e["criterion"]
+def wrong(e: dict[str, Any]) -> str:
+    """What is wrong with a drive, in a few words; empty: nothing."""
+    if "error" in e:
+        return str(e["error"])
+    if e["criterion"]:
+        return str(e["criterion"])
+    if e["collision_at_fault"]:
+        return next(f"collision at fault: {c['why']}" for c in e["collisions"] if c["at_fault"])
+    return f"{e['off_road_m']} m off the road" if e["off_road"] else ""
 
 
 STYLE = (
@@ -162,7 +165,7 @@ def page(result: dict[str, Any]) -> str:
         parts.append(_table(["scenario", "why"], [[k, v] for k, v in result["not_loaded"].items()], set()))
     for planner, entries in result["scenarios"].items():
         table = [cells(n, e) for n, e in entries.items()]
-        bad = {i for i, e in enumerate(entries.values()) if not fine(e)}
+        bad = {i for i, e in enumerate(entries.values()) if wrong(e)}
         parts += [f"<h2>{html.escape(planner)}</h2>", _table(list(COLUMNS), table, bad)]
     return "".join([*parts, "</body></html>\n"])
 

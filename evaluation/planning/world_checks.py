@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from common.geometry import Polyline, distance_between_rectangles, rectangle_corners
-from common.messages import FRAME_S
+from common.geometry import Polyline, distance_between_rectangles, rectangle_corners, wrap_angle
+from common.messages import FRAME_S, Ego, Objects
 from evaluation.hazards.ttc import ttc_2d
 from evaluation.planning import corridor
 from evaluation.planning.recorder import Recorder
@@ -24,16 +24,18 @@ FRONT = 0.6
 """Share of the ego's length, from its front, that counts: nobody brakes for who comes from behind."""
 
 
-def emergencies(record: Recorder) -> npt.NDArray[np.bool_]:
+def emergencies(record: Recorder, until_s: float = math.inf) -> npt.NDArray[np.bool_]:
     """For each frame whether a brake of 1.5 m/s² from then on, along the way really driven, would meet somebody.
 
-    The others move as they did. Contacts of the ego's rear do not count, nor what happens after it stands.
+    The others move as they did. Nobody brakes for who comes from behind: contacts of the ego's rear do not count, nor
+    those who are behind it at that moment and head its way; nor what happens after it stands. Frames after `until_s`
+    [s] (the first collision: bodies have gone through each other) are not judged.
     """
     found = np.zeros(len(record.frames), dtype=bool)
     for k, row in enumerate(record.at_frame):
         ego = record.ego[row]
         v = ego.speed
-        if v < 0.3:
+        if v < 0.3 or record.t[row] >= until_s:
             continue
         steps = np.arange(0, min(math.ceil(v / GENTLE / FRAME_S), len(record.frames) - k), STEP)
         t = steps * FRAME_S
@@ -42,15 +44,32 @@ def emergencies(record: Recorder) -> npt.NDArray[np.bool_]:
         ahead = (1.0 - FRONT) / 2 * ego.length
         x, y = x + ahead * np.cos(heading), y + ahead * np.sin(heading)
         mine = rectangle_corners(x, y, heading, FRONT * ego.length, ego.width)
-        found[k] = any(_meets(x[i], y[i], mine[i], record, k + int(n), ego.length) for i, n in enumerate(steps))
+        behind = _behind(ego, record.frames[k])
+        found[k] = any(_meets(x[i], y[i], mine[i], record, k + int(n), ego.length, behind) for i, n in enumerate(steps))
     return found
 
 
-def _meets(x: float, y: float, mine: np.ndarray, record: Recorder, frame: int, length: float) -> bool:
+def _behind(ego: Ego, o: Objects) -> npt.NDArray[np.int64]:
+    """Ids of those whose centre lies behind the ego's and who head within 45° of it."""
+    ahead = np.cos(ego.heading) * (o.x - ego.x) + np.sin(ego.heading) * (o.y - ego.y)
+    turned = np.abs(wrap_angle(o.heading - ego.heading))
+    return np.asarray(o.id[(ahead < 0.0) & (turned < np.pi / 4)])
+
+
+def _meets(
+    x: float,
+    y: float,
+    mine: np.ndarray,
+    record: Recorder,
+    frame: int,
+    length: float,
+    behind: npt.NDArray[np.int64],
+) -> bool:
     o = record.frames[frame]
     if not len(o.id):
         return False
     near = np.hypot(o.x - x, o.y - y) < (length + np.hypot(o.length, o.width)) / 2 + 0.5
+    near &= ~np.isin(o.id, behind)
     if not near.any():
         return False
     others = rectangle_corners(o.x[near], o.y[near], o.heading[near], o.length[near], o.width[near])
