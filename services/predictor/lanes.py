@@ -31,6 +31,9 @@ LIMIT_LEAST = 0.5
 SHAPE_M = 15.0
 """Over how much of its length the shape of a successor is judged [m]."""
 
+SLIP_MAX = 0.5
+"""The body's yaw may turn the direction by so much; who reverses is not turned round [rad]."""
+
 _KEY = np.int64(2) ** 31
 
 
@@ -40,7 +43,7 @@ class Match:
 
     lane: I64  # index into the index's lanes
     s: F64  # arc length of the nearest point, from the lane's beginning [m]
-    off: F64  # course relative to the lane's direction there [rad]
+    off: F64  # direction of motion relative to the lane's direction there [rad]
     swerve: F64  # turn rate beyond what the lane's curvature asks for [rad/s]
 
     def take(self, rows: npt.NDArray[np.bool_]) -> Match:
@@ -119,11 +122,13 @@ class LaneIndex:
         obj, piece = self._near(state.x, state.y)
         if not len(obj):
             return result
+        slip = np.clip(wrap_angle(state.heading - state.course), -SLIP_MAX, SLIP_MAX)
+        direction = state.course + settings.body_yaw * slip
         rx, ry = state.x[obj] - self._px[piece], state.y[obj] - self._py[piece]
         tx, ty, length = self._tx[piece], self._ty[piece], self._plength[piece]
         u = np.clip(rx * tx + ry * ty, 0.0, length)
         distance = np.hypot(rx - u * tx, ry - u * ty)
-        off = wrap_angle(state.course[obj] - self._pheading[piece])
+        off = wrap_angle(direction[obj] - self._pheading[piece])
         half = self._phalf[piece]
         swerve = np.where(
             state.speed[obj] > 2.0, state.turn_rate[obj] - state.speed[obj] * self._pcurvature[piece], 0.0

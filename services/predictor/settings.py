@@ -80,6 +80,9 @@ class MapSettings(Settings, frozen=True, kw_only=True):
     swerve_scale: Positive = 0.2
     """A turn rate that differs by so much from what a lane asks for counts, in the choice of the lane, as much as
     half a lane's width beside it [rad/s]. Large: position and direction alone choose, as the turn rate comes late."""
+    body_yaw: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    """Share of the body's yaw in the direction by which an object's lane is chosen; the rest is the course of its
+    positions, which comes some 0.2 s later but needs no measured yaw."""
     margin_m: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.5
     """How far outside its lane an object's centre may be and still follow it [m]."""
     lateral_mps2: Positive = 3.0
