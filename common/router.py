@@ -7,6 +7,7 @@ process onto its own topics only (`common.access`). With `--upstream` it joins a
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import signal
 import sys
@@ -15,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from common import config, logs
+from common import bus_config, config, logs
 from common.bus import BusSettings, router
 from common.bus_config import Secured, TlsSettings
 from common.config import ConfigError
@@ -38,15 +39,12 @@ def main(arguments: list[str] | None = None) -> int:
         help="secured: let the router with the name router.NAME pass on what these vehicles say",
     )  # fmt: skip
     parser.add_argument("--upstream", action="append", default=[], metavar="ENDPOINT", help="another router to join")
+    parser.add_argument("--print", action="store_true", help="print Zenoh's configuration, for `zenohd -c`, and end")
     options = parser.parse_args(arguments)
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
     try:
         tree = config.load()
         settings = config.section(tree, "bus", BusSettings)
         service = config.section(tree, "service", ServiceSettings)
-        logs.begin("router", service.log_level, service.log_format)
         if options.secure is not None:
             settings = msgspec.structs.replace(settings, tls=TlsSettings.of(options.secure))
         secured = None
@@ -55,6 +53,13 @@ def main(arguments: list[str] | None = None) -> int:
         elif options.vehicle or options.router:
             raise ConfigError("--vehicle and --router say whom a secured router lets in: give --secure FOLDER too")
         listen = options.listen or f"{'tls' if secured else 'tcp'}/127.0.0.1:7447"
+        if options.print:
+            print(json.dumps(bus_config.router(listen, settings, secured, options.upstream), indent=1))
+            return 0
+        logs.begin("router", service.log_level, service.log_format)
+        stop = threading.Event()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: stop.set())
         with router(listen=listen, settings=settings, secured=secured, upstream=options.upstream) as endpoint:
             log.info("listens on %s", endpoint)
             while not stop.wait(1.0):

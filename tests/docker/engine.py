@@ -39,9 +39,9 @@ class Project:
         return done.stdout
 
     def logs(self, service: str) -> list[str]:
-        """Lines of a service's log; what it wrote to stderr is handed on to stderr."""
-        done = self._run(("logs", "--no-log-prefix", service), 60)
-        return (done.stdout + done.stderr).splitlines()
+        """Lines of a service's log, without the codes that Compose puts before each."""
+        done = self._run(("logs", "--no-color", "--no-log-prefix", service), 60)
+        return [line.removeprefix("\x1b[2K") for line in done.stdout.splitlines()]
 
     def _run(self, arguments: tuple[str, ...], timeout: float) -> subprocess.CompletedProcess[str]:
         files = [word for name in self.files for word in ("-f", name)]

@@ -82,6 +82,19 @@ def test_a_service_killed_inside_its_container_comes_back(up: None) -> None:
     until(lambda: health()["riskfield"] == "healthy", within_s=60, every_s=1, what="health again")
 
 
+def test_one_service_is_replaced_while_the_others_run(up: None) -> None:
+    def containers() -> dict[str, str]:
+        lines = compose("ps", "--format", "json").splitlines()
+        return {row["Service"]: row["ID"] for row in map(json.loads, lines)}
+
+    before = containers()
+    compose("build", "planner")
+    compose("up", "--detach", "--no-deps", "--force-recreate", "--wait", "--wait-timeout", "60", "planner")
+    after = containers()
+    assert {s for s in SERVICES if after[s] != before[s]} == {"planner"}
+    assert health() == dict.fromkeys(SERVICES, "healthy")
+
+
 def test_down_is_clean_within_fifteen_seconds(up: None) -> None:
     began = time.monotonic()
     compose("down", timeout=60)

@@ -15,9 +15,10 @@ import pytest
 import zenoh
 
 from common import access, topics
-from common.bus import Bus, BusSettings, NoRouterError, open_bus, router
+from common.bus import Bus, BusSettings, NoRouterError, free_port, open_bus, router
 from common.bus_config import Secured, TlsSettings
 from common.config import ConfigError
+from common.router import main as router_main
 from rig import certificates
 from services.planner.__main__ import SERVICE as PLANNER
 from services.predictor.__main__ import SERVICE as PREDICTOR
@@ -324,6 +325,28 @@ def test_the_secured_router_tells_nobody_where_it_is_and_has_no_other_door(secur
 
 
 # --- settings ---
+
+
+def test_the_printed_configuration_makes_the_same_router_elsewhere(
+    secured: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """For those who run Eclipse's `zenohd` instead of our router."""
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    folder = str(secured.folder / "router")
+    assert router_main(["--secure", folder, "--vehicle", VEHICLE, "--listen", endpoint, "--print"]) == 0
+    file = tmp_path / "zenohd.json5"
+    file.write_text(capsys.readouterr().out)
+    with (
+        zenoh.open(zenoh.Config.from_file(str(file))),
+        open_bus(secured.settings("vehicle", endpoint), VEHICLE, "vehicle", wait_s=20) as vehicle,
+        open_bus(secured.settings("planner", endpoint), VEHICLE, "planner", wait_s=20) as planner,
+        open_bus(secured.settings("viz", endpoint), VEHICLE, "viz", wait_s=20) as viz,
+    ):
+        egos = viz.inbox(topics.EGO)
+        control(vehicle.publisher(topics.EGO), egos)
+        planner.publisher(topics.EGO).put(samples.ego(), capture_ns=0)
+        control(vehicle.publisher(topics.EGO), egos)
+        assert arrived(egos) == 2
 
 
 @pytest.mark.parametrize(
