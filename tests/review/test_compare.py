@@ -24,7 +24,7 @@ def call(*arguments: str | Path):
 
 @pytest.fixture(scope="module")
 def runs() -> tuple[Path, Path]:
-    return made().path, made("demo", 4.0, "planner.max_speed=7").path
+    return made().path, made("demo", 3.0, "planner.max_speed=7").path
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_one_recording_holds_both_drives_from_the_begin_of_their_runs(both) -> N
         t = chunk.to_record_batch().column("t").cast("int64").to_numpy()
         seen.setdefault(chunk.entity_path, []).extend(int(v) for v in t)
     assert set(seen) == {"/a/world/ego", "/b/world/ego", "/a/world/risk/now", "/b/plan"}
-    for prefix, seconds in (("a", 6.5), ("b", 4.0)):
+    for prefix, seconds in (("a", 5.5), ("b", 3.0)):
         t = np.array(seen[f"/{prefix}/world/ego"]) * 1e-9
         assert t.min() == pytest.approx(-1.0, abs=0.11) and t.max() == pytest.approx(seconds, abs=0.11)
     entities = {chunk.entity_path for chunk in reader.stream()}

@@ -197,7 +197,7 @@ def test_damage_anywhere_is_an_error_and_never_a_crash(tmp_path: Path) -> None:
 
 def test_two_pieces_are_reviewed_as_one(found: Review, tmp_path: Path) -> None:
     # cut by time, as rotation does: what stands is said again in the second piece
-    cut_ns = 4_000_000_000
+    cut_ns = 3_500_000_000
     parts = [tmp_path / "drive.rrd", tmp_path / "drive.0002.rrd"]
     for k, part in enumerate(parts):
         with rr.RecordingStream("forefield", recording_id="two-pieces") as rec:
