@@ -99,11 +99,11 @@ def _run(
 ) -> tuple[int, int, int]:
     # a string's hash differs between processes: its bytes do not
     rng = np.random.default_rng([seed, *network.name.encode()])
-    demand = folder / f"{network.name}.rou.xml"
-    demand.write_text(_demand(network, rng, WARM_UP_S + seconds))
+    routes = folder / f"{network.name}.rou.xml"
+    routes.write_text(demand(network, rng, WARM_UP_S + seconds))
     sublane = rng.random() < 0.5
     options = [
-        "sumo", "-n", str(network.path), "-r", str(demand), "--step-length", str(FRAME_S), "--seed", str(seed),
+        "sumo", "-n", str(network.path), "-r", str(routes), "--step-length", str(FRAME_S), "--seed", str(seed),
         "--no-warnings", "true", "--no-step-log", "true", "--time-to-teleport", "120", "--collision.action", "none",
         "--default.speeddev", "0.1", "--ignore-route-errors", "true", "--extrapolate-departpos", "true",
     ]  # fmt: skip
@@ -169,7 +169,7 @@ def _hesitate(vehicle: Any, ids: tuple[str, ...], rng: np.random.Generator) -> N
             vehicle.slowDown(i, vehicle.getSpeed(i) * rng.uniform(0.3, 0.9), rng.uniform(1.5, 4.0))
 
 
-def _demand(network: Network, rng: np.random.Generator, seconds: float) -> str:
+def demand(network: Network, rng: np.random.Generator, seconds: float) -> str:
     """Drivers and flows between the ends of the network."""
     import sumolib
 

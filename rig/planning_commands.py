@@ -42,6 +42,17 @@ def eval_planning(
     ] = None,
     more: Annotated[list[str] | None, typer.Argument(help="More scenarios.", show_default=False)] = None,
     variants: Annotated[int, typer.Option("--variants", help="So many random variants of the named ones.", min=0)] = 0,
+    tracks: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tracks",
+            help="Trajectory tables: recorded vehicles are replaced by the ego, one after another.",
+            metavar="FILE",
+            show_default=False,
+        ),
+    ] = None,
+    per_table: Annotated[int, typer.Option("--per-table", help="Vehicles of each table.", min=1)] = 10,
+    sumo: Annotated[float, typer.Option("--sumo", help="Drive so many kilometres in SUMO.", metavar="KM", min=0)] = 0.0,
     planner: Annotated[
         list[str] | None,
         typer.Option(
@@ -62,6 +73,9 @@ def eval_planning(
     seed: Annotated[int, typer.Option("--seed", help="Varies named scenarios; draws the variants.", min=0)] = 0,
     json_: Json = None,
     html: Annotated[Path | None, typer.Option("--html", help="Write tables as one page.", metavar="OUT.html")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option("--markdown", help="Write the summary and what went wrong.", metavar="OUT.md")
+    ] = None,
     config_: Config = None,
     set_: Sets = None,
 ) -> None:
@@ -75,12 +89,16 @@ def eval_planning(
         tree = configuration.load(config_, settings)
         writable("--json", json_)
         writable("--html", html)
+        writable("--markdown", markdown)
         if cluster and jobs > 1:
             raise ConfigError("--jobs is for this machine, --cluster for others: one of them")
         result = command.run(
             tree,
             sources=[*(scenarios or []), *(more or [])],
             variants=variants,
+            tracks=tracks or [],
+            per_table=per_table,
+            sumo_km=sumo,
             planners=planner or ["default"],
             traffic=traffic,
             jobs=jobs,
@@ -93,6 +111,8 @@ def eval_planning(
             write(json_, result)
         if html is not None:
             html.write_text(report.page(result), encoding="utf-8")
+        if markdown is not None:
+            markdown.write_text(report.markdown(result), encoding="utf-8")
         console = Console(width=None if sys.stdout.isatty() else WIDTH)
         for part in command.tables(result):
             console.print(part)

@@ -11,7 +11,7 @@ import numpy as np
 from common.config import ConfigError
 from evaluation.planning.traffic import Kind
 from rig.settings import RigSettings
-from rig.sources import ScenarioError, builtin_scenarios, load_scenario
+from rig.sources import ScenarioError, builtin_scenarios, load_scenario, tables
 from rig.sources.generated import REPLAYED
 from rig.world import Scenario
 
@@ -94,4 +94,34 @@ def loaded(
             continue
         default: Kind = "reactive" if c.family and c.family not in REPLAYED else "replay"
         worlds.append(Loaded(c, scenario, kind or default))
+    return worlds
+
+
+def replaced_vehicles(
+    files: Sequence[str], count: int, seed: int, settings: RigSettings, failed: Callable[[str, str], None]
+) -> list[Loaded]:
+    """Of each trajectory table `count` recorded vehicles, drawn by `seed`, each replaced by the ego once."""
+    worlds = []
+    for file in files:
+        path = Path(file)
+        try:
+            if not path.is_file():
+                raise ScenarioError("no such file", path=path)
+            rows = tables.read(path)
+            fit = tables.drivable(rows)
+            if not fit:
+                raise ScenarioError("no car, truck or bus drives far enough to be replaced", path=path)
+        except ScenarioError as e:
+            failed(_stem(path), str(e))
+            continue
+        drawn = np.random.default_rng([seed, 11]).permutation(len(fit))[:count]
+        for i in sorted(int(k) for k in drawn):
+            ego = fit[i]
+            name = f"{_stem(path)}#{ego.rec}:{ego.name}"
+            try:
+                scenario = tables.replacing(path, rows, ego, settings)
+            except ScenarioError as e:
+                failed(name, str(e))
+                continue
+            worlds.append(Loaded(Choice(name, name), scenario, "replay"))
     return worlds

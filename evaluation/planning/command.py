@@ -5,20 +5,23 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Protocol
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from common import config
 from common.config import ConfigError, Tree
-from evaluation.planning import report
-from evaluation.planning.choosing import choices, loaded
+from evaluation.planning import report, volume
+from evaluation.planning.choosing import choices, loaded, replaced_vehicles
 from evaluation.planning.drivers import known
 from evaluation.planning.engines import outcomes
 from evaluation.planning.tasks import Task
 from evaluation.planning.traffic import Kind
+from evaluation.sumo_networks import TrafficError
 from rig.settings import RigSettings
 
 TELL_EVERY_S = 20.0
@@ -37,6 +40,9 @@ def run(
     *,
     sources: Sequence[str] = (),
     variants: int = 0,
+    tracks: Sequence[str] = (),
+    per_table: int = 10,
+    sumo_km: float = 0.0,
     planners: Sequence[str] = ("default",),
     traffic: Kind | None = None,
     jobs: int = 1,
@@ -54,20 +60,27 @@ def run(
     unknown = [p for p in planners if p not in known()]
     if unknown:
         raise ConfigError(f"--planner {unknown[0]!r}: there are {', '.join(known())}")
-    if sources and variants:
-        raise ConfigError("--variants draws from the named scenarios: leave --scenarios out")
-    chosen = choices(sources, variants, seed)
-    not_loaded: dict[str, str] = {}
-    worlds = loaded(chosen, traffic, config.section(tree, "rig", RigSettings), not_loaded.__setitem__)
-    for name, why in not_loaded.items():
-        console.print(f"[red]not loaded[/] {name}: {why}", soft_wrap=True, highlight=False)
-    if not worlds:
-        raise ConfigError(f"none of the {len(chosen)} scenarios can be loaded")
-    tasks = [
-        Task(w.choice.name, w.choice.family, w.scenario, tuple(dict.fromkeys(planners)), tree, w.traffic)
-        for w in worlds
-    ]
+    asked = [o for o, there in (("--scenarios", sources), ("--variants", variants), ("--tracks", tracks)) if there]
+    asked += ["--sumo"] if sumo_km else []
+    if len(asked) > 1:
+        raise ConfigError(f"{' and '.join(asked)}: one of them at a time")
+    planners = list(dict.fromkeys(planners))
     began = time.monotonic()
+    if sumo_km:
+        scenarios = _in_sumo(tree, planners, sumo_km, seed, console)
+        return _result(command, seed, {}, scenarios, began)
+    not_loaded: dict[str, str] = {}
+    rig = config.section(tree, "rig", RigSettings)
+    if tracks:
+        worlds = replaced_vehicles(tracks, per_table, seed, rig, not_loaded.__setitem__)
+        worlds = [replace(w, traffic=traffic or w.traffic) for w in worlds]
+    else:
+        worlds = loaded(choices(sources, variants, seed), traffic, rig, not_loaded.__setitem__)
+    for name, why in not_loaded.items():
+        console.print(f"[red]not loaded[/] {name}: {escape(why)}", soft_wrap=True, highlight=False)
+    if not worlds:
+        raise ConfigError(f"none of the {len(not_loaded)} scenarios can be loaded")
+    tasks = [Task(w.choice.name, w.choice.family, w.scenario, tuple(planners), tree, w.traffic) for w in worlds]
     found: list[dict[str, dict[str, Any]]] = [{} for _ in tasks]
     with _progress(console, len(tasks)) as tell:
         for i, outcome in outcomes(tasks, jobs=jobs, cluster=cluster):
@@ -79,10 +92,19 @@ def run(
                         f"{tasks[i].name} ({planner}): {wrong}", highlight=False, markup=False, soft_wrap=True
                     )
             tell(tasks[i].name)
-    scenarios: dict[str, dict[str, Any]] = {p: {} for p in dict.fromkeys(planners)}
+    scenarios = {p: {} for p in planners}
     for task, outcome in zip(tasks, found, strict=True):
         for planner, entry in outcome.items():
             scenarios[planner][task.name] = entry
+    return _result(command, seed, not_loaded, scenarios, began)
+
+
+Entries = dict[str, dict[str, Any]]
+
+
+def _result(
+    command: str, seed: int, not_loaded: dict[str, str], scenarios: dict[str, Entries], began: float
+) -> dict[str, Any]:
     return {
         "command": command,
         "seed": seed,
@@ -91,6 +113,20 @@ def run(
         "wall_s": round(time.monotonic() - began, 1),
         "scenarios": {p: {n: report.plain(e) for n, e in entries.items()} for p, entries in scenarios.items()},
     }
+
+
+def _in_sumo(tree: Tree, planners: list[str], km: float, seed: int, console: Console) -> dict[str, Entries]:
+    began = time.monotonic()
+
+    def tell(name: str, driven: float) -> None:
+        left = (time.monotonic() - began) / driven * max(km - driven, 0.0) if driven > 0 else float("nan")
+        text = f"{driven:.2f}/{km:g} km, about {left:.0f} s left: {name}"
+        console.print(text, highlight=False, markup=False)
+
+    try:
+        return volume.measure(tree, planners, km, seed, tell)
+    except TrafficError as e:
+        raise ConfigError(str(e)) from None
 
 
 def tables(result: dict[str, Any]) -> list[Table]:

@@ -129,7 +129,7 @@ class _Run:
         self.result = DriveResult(scenario.name, warnings=scenario.warnings)
         self.map = None if scenario.map is None else self._stamp(scenario.map, ORIGIN_NS - 2000 * MS)
         self.route: Stamped[Route] = self._stamp(scenario.route, ORIGIN_NS - 2000 * MS)
-        self.closures: Closures = scenario.closures_at(0.0)
+        self.closures: Closures = traffic.closures_at(0.0)
         self.ego: Stamped[Ego] | None = None
         self.objects: Stamped[Objects] | None = None
         self.prediction: Stamped[Prediction] | None = None
@@ -197,7 +197,7 @@ class _Run:
         t = (now - ORIGIN_NS) * 1e-9
         self.seq += 1
         self.objects = self._stamp(self.traffic.objects_at(t), now, cause=Cause(BOOT, self.seq))
-        self.closures = self.scenario.closures_at(t)
+        self.closures = self.traffic.closures_at(t)
         self.waiting["predictor"] = True
         self._predict(now)
         self._at(now + OBJECTS_NS, 1, self._see)

@@ -18,6 +18,7 @@ from rig.world import Scenario
 
 OFF_ROAD_M = 0.15
 """The outline may reach so far beyond the drivable area: maps are drawn with wider pens."""
+CONFIDENCE = 0.95
 FELT = 0.1
 """Accelerations below this are not felt as a change of sign [m/s²]."""
 
@@ -114,6 +115,19 @@ def _sign_changes(a: np.ndarray, span: float) -> float:
     felt = a[np.abs(a) > FELT]
     changes = int(np.sum(np.diff(np.sign(felt)) != 0)) if len(felt) > 1 else 0
     return round(60.0 * changes / span, 2) if span > 1.0 else 0.0
+
+
+def poisson_bound(events: int, km: float) -> float:
+    """Upper bound of the rate per 1000 km at 95 % confidence, for so many events in so many kilometres."""
+
+    def at_most(mean: float) -> float:
+        return float(sum(math.exp(k * math.log(mean) - mean - math.lgamma(k + 1)) for k in range(events + 1)))
+
+    low, high = 1e-9, 10.0 * (events + 5)
+    for _ in range(80):
+        mean = 0.5 * (low + high)
+        low, high = (mean, high) if at_most(mean) > 1.0 - CONFIDENCE else (low, mean)
+    return low / km * 1000.0 if km > 0 else math.inf
 
 
 def pooled_efficiency(entries: list[dict[str, Any]], who: str = "") -> float | None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from common.geometry import Polyline, rectangle_corners, wrap_angle
-from common.messages import F64, FRAME_S, MAX_OBJECTS, Ego, Lane, ObjectClass, Objects
+from common.messages import F64, FRAME_S, MAX_OBJECTS, Closures, Ego, Lane, ObjectClass, Objects
 from evaluation.planning import corridor
 from evaluation.planning.car_following import Following, LaneChange, improved_idm, mobil
 from evaluation.planning.traffic import Kind, Replay, Traffic
@@ -169,6 +169,10 @@ class Reactive:
             heading=np.asarray(wrap_angle(c[4])), vx=c[5].copy(), vy=c[6].copy(),
             length=c[7].copy(), width=c[8].copy(), mass=c[9].copy(),
         )  # fmt: skip
+
+    def closures_at(self, t: float) -> Closures:
+        """Lights do not react."""
+        return self._scenario.closures_at(t)
 
     def _velocity(self, i: int) -> tuple[float, float]:
         if i in self._past and i in self._now:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from evaluation.planning.measures import pooled_efficiency
+from evaluation.planning.measures import poisson_bound, pooled_efficiency
 
 Entries = Mapping[str, dict[str, Any]]
 
@@ -21,6 +21,7 @@ def summary(entries: Entries) -> dict[str, Any]:
     judged = [e for e in good if e["criterion"] is not None]
     on_map = [e for e in good if e["off_road"] is not None]
     length = sum(e["duration_s"] for e in good)
+    km = sum(e["distance_m"] for e in good) / 1000.0
     return {
         "n": len(good),
         "errors": len(entries) - len(good),
@@ -30,6 +31,7 @@ def summary(entries: Entries) -> dict[str, Any]:
         "off_road": sum(bool(e["off_road"]) for e in on_map),
         "efficiency": pooled_efficiency(good),
         "efficiency_human": pooled_efficiency(good, "human"),
+        "efficiency_sumo": pooled_efficiency(good, "sumo"),
         "efficiency_idm": pooled_efficiency(good, "idm"),
         "criteria_passed": sum(e["criterion"] == "" for e in judged),
         "criteria": len(judged),
@@ -42,7 +44,10 @@ def summary(entries: Entries) -> dict[str, Any]:
         "safe_stop_share": _share(sum(e["safe_stop_share"] * e["duration_s"] for e in good), length),
         "cycle_ms_p50": _percentile(cycle, 50),
         "cycle_ms_p99": _percentile(cycle, 99),
-        "driven_km": round(sum(e["distance_m"] for e in good) / 1000.0, 3),
+        "driven_km": round(km, 3),
+        "at_fault_per_1000_km_bound": round(poisson_bound(sum(e["collision_at_fault"] for e in good), km), 1)
+        if km > 0
+        else None,
     }
 
 
@@ -139,6 +144,49 @@ def wrong(e: dict[str, Any]) -> str:
         return next(f"collision at fault: {c['why']}" for c in e["collisions"] if c["at_fault"])
     return f"{e['off_road_m']} m off the road" if e["off_road"] else ""
 
+
+HEAD = {
+    "n": "drives",
+    "criteria_passed": "criteria met",
+    "collisions": "collisions",
+    "collisions_at_fault": "at fault",
+    "goal_rate": "goal",
+    "off_road": "off road",
+    "efficiency_human": "of the human's way",
+    "efficiency_idm": "of the IDM's way",
+    "efficiency_sumo": "of SUMO's way",
+    "max_accel_lon": "peak a_lon",
+    "max_accel_lat": "peak a_lat",
+    "p95_jerk": "jerk p95",
+    "emergency_share": "emergency",
+    "cycle_ms_p50": "cycle p50 ms",
+    "cycle_ms_p99": "p99 ms",
+    "driven_km": "km",
+    "at_fault_per_1000_km_bound": "at fault per 1000 km, at most (95 %)",
+}
+SHARES = ("goal_rate", "efficiency_human", "efficiency_idm", "efficiency_sumo", "emergency_share")
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """The summary as a table for a document, and every drive that went wrong, with why."""
+    shown = [k for k in HEAD if any(s.get(k) not in (None, 0) for s in result["summary"].values()) or k in PROMISED]
+    lines = [f"`{result['command']}`", "", f"| planner | {' | '.join(HEAD[k] for k in shown)} |"]
+    lines.append(f"|---{'|---:' * len(shown)}|")
+    for planner, s in result["summary"].items():
+        row = [_percent(s[k]) if k in SHARES else _shown(s[k]) for k in shown]
+        if "criteria_passed" in shown:
+            row[shown.index("criteria_passed")] = f"{s['criteria_passed']}/{s['criteria']}"
+        lines.append(f"| {planner} | {' | '.join(row)} |")
+    for planner, entries in result["scenarios"].items():
+        bad = [f"{n}: {wrong(e)}" for n, e in entries.items() if wrong(e)]
+        if bad:
+            lines += ["", f"{planner} ({len(bad)}): {'; '.join(bad)}."]
+    for name, why in result["not_loaded"].items():
+        lines += ["", f"Not loaded: {name}: {why}"]
+    return "\n".join(lines) + "\n"
+
+
+PROMISED = ("n", "collisions", "collisions_at_fault", "goal_rate", "off_road")
 
 STYLE = (
     "body{font:14px/1.4 system-ui,sans-serif;margin:2rem;color:#222}table{border-collapse:collapse;margin:1rem 0 2rem}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from common.messages import Ego, Objects
+from common.messages import Closures, Ego, Objects
 from rig.world import Scenario
 
 Kind = Literal["replay", "reactive"]
@@ -21,6 +21,10 @@ class Traffic(Protocol):
         """Who is where at `t` [s], at most 0.1 s after the last `advance`."""
         ...
 
+    def closures_at(self, t: float) -> Closures:
+        """What is closed at `t` [s]."""
+        ...
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -34,3 +38,7 @@ class Replay:
     def objects_at(self, t: float) -> Objects:
         """As recorded."""
         return self.scenario.objects_at(t)
+
+    def closures_at(self, t: float) -> Closures:
+        """As recorded."""
+        return self.scenario.closures_at(t)

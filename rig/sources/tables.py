@@ -62,8 +62,7 @@ def load(path: Path, selection: str, ego_track: int | None, settings: RigSetting
         name = str(ego_track)
     inside = read(path, rec)
     ego = _named(path, inside, name) if name else _farthest(path, inside)
-    others = [r for r in inside if r.rec == ego.rec and r is not ego]
-    return _scenario(path, ego, others, settings)
+    return replacing(path, inside, ego, settings)
 
 
 # --- reading ---
@@ -208,25 +207,35 @@ def _named(path: Path, tracks: list[Rows], name: str) -> Rows:
 
 def _farthest(path: Path, tracks: list[Rows]) -> Rows:
     """The four-wheeled vehicle driven farthest; the first of equals."""
-    best, farthest = None, FAR_ENOUGH_M
-    for r in tracks:
-        if CLASSES.get(r.kind, ObjectClass.UNKNOWN) in FOUR_WHEELS and len(r.frames) > LONG_ENOUGH_S / FRAME_S:
-            p = r.values[::5, :2]
-            driven = float(np.hypot(*np.diff(p, axis=0).T).sum())
-            if driven > farthest:
-                best, farthest = r, driven
-    if best is None:
+    fit = drivable(tracks)
+    if not fit:
         raise ScenarioError(
             f"no car, truck or bus moves {FAR_ENOUGH_M:.0f} m in at least {LONG_ENOUGH_S:.0f} s",
             path=path,
             hint="Name one: FILE#REC:TRACK",
         )
-    return best
+    return max(fit, key=_way)
 
 
 def _some(names: list[str]) -> str:
     unique = list(dict.fromkeys(names))
     return ", ".join(unique[:12]) + (f" … ({len(unique)} in all)" if len(unique) > 12 else "")
+
+
+def drivable(tracks: list[Rows]) -> list[Rows]:
+    """The four-wheeled vehicles that are recorded long enough and drive far enough to be replaced by the ego."""
+    long = [r for r in tracks if len(r.frames) > LONG_ENOUGH_S / FRAME_S]
+    return [r for r in long if CLASSES.get(r.kind, ObjectClass.UNKNOWN) in FOUR_WHEELS and _way(r) > FAR_ENOUGH_M]
+
+
+def _way(rows: Rows) -> float:
+    """Distance driven [m], looked at every half second."""
+    return float(np.hypot(*np.diff(rows.values[::5, :2], axis=0).T).sum())
+
+
+def replacing(path: Path, tracks: list[Rows], ego: Rows, settings: RigSettings) -> Scenario:
+    """The drive of `ego`, one of `tracks` as `read` gives them, among the others of its recording."""
+    return _scenario(path, ego, [r for r in tracks if r.rec == ego.rec and r is not ego], settings)
 
 
 # --- the world ---

@@ -154,3 +154,31 @@ def test_the_held_field_is_the_first_slice_everywhere():
     risk = HeldField(Growing()).step(None, None, None, None, 0.0)  # type: ignore[arg-type]
     assert (risk.volume == risk.volume[0]).all()
     assert np.ptp(Growing().step(None, None, None, None, 0.0).volume.max(axis=(1, 2))) > 0
+
+
+def test_options_that_exclude_each_other_are_said_so():
+    with pytest.raises(ConfigError, match="--variants and --tracks: one of them"):
+        _run(variants=3, tracks=["x.csv"])
+
+
+def test_recorded_vehicles_are_replaced_one_after_another(tmp_path: Path):
+    table = tmp_path / "road.csv"
+    rows = ["rec,track,type,frame,t,x,y,vx,vy,heading,length,width"]
+    for name, ahead in (("a", 0.0), ("b", 30.0)):
+        rows += [f"r,{name},car,{k},{k / 10:.1f},{ahead + 0.8 * k:.2f},0,8,0,0,4.5,1.8" for k in range(90)]
+    table.write_text("\n".join(rows) + "\n")
+    result = _run(tracks=[str(table), str(tmp_path / "none.csv")])
+    entries = result["scenarios"]["idm"]
+    assert set(entries) == {"road#r:a", "road#r:b"}
+    assert {e["yardstick"] for e in entries.values()} == {"human"}
+    assert entries["road#r:b"]["yardstick_m"] == pytest.approx(8.0 * entries["road#r:b"]["duration_s"], rel=0.1)
+    assert list(result["not_loaded"]) == ["none"]
+    assert "0 s" not in report.markdown(result).split("\n")[0]
+
+
+def test_the_poisson_bound_is_the_textbook_one():
+    from evaluation.planning.measures import poisson_bound
+
+    assert poisson_bound(0, 1000.0) == pytest.approx(2.9957, abs=1e-3)
+    assert poisson_bound(1, 1000.0) == pytest.approx(4.7439, abs=1e-3)
+    assert poisson_bound(3, 500.0) == pytest.approx(2 * 7.7537, abs=1e-2)

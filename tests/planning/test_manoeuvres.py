@@ -45,8 +45,8 @@ def test_the_planner_of_the_paper_masters(name: str):
     ("name", "wrong"),
     [
         ("crossing_pedestrian", "collision at fault"),
-        ("truck_adjacent", "beside the truck"),
-        ("lane_ends", "collision at fault"),
+        pytest.param("truck_adjacent", "beside the truck", marks=pytest.mark.slow),
+        pytest.param("lane_ends", "collision at fault", marks=pytest.mark.slow),
     ],
 )
 def test_a_criterion_can_fail_who_does_not_foresee(name: str, wrong: str):
