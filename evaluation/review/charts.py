@@ -98,7 +98,8 @@ def _states(ax: Any, recording: Recording, drive: Drive, services: list[str]) ->
             times.append(at)
             values.append(status.state)
         _spans(ax, row, np.array(times), values, end, STATES)
-        used |= {v: STATES[v] for v in values if v in STATES}
+        inside = [v for k, v in enumerate(values) if times[k] <= end and (k + 1 == len(times) or times[k + 1] > t[0])]
+        used |= {v: STATES[v] for v in inside if v in STATES}
     ax.set_yticks(range(len(services) + 1), ["plan", *services])
     ax.tick_params(axis="y", length=0)
     ax.invert_yaxis()
@@ -258,7 +259,7 @@ def drive_map(recording: Recording, drive: Drive) -> Figure:
     upright = tall > wide  # a drive to the north is shown lying, so that the page stays short
     width, height = (tall, wide) if upright else (wide, tall)
     ratio = (height + 2 * margin) / (width + 2 * margin)
-    fig = Figure(figsize=(7.4, float(np.clip(6.4 * ratio + 0.9, 1.9, 6.5))), layout="constrained")
+    fig = Figure(figsize=(7.4, float(np.clip(5.7 * ratio + 0.75, 1.9, 6.5))), layout="constrained")
     ax = fig.subplots()
 
     def here(px: Any, py: Any) -> tuple[Any, Any]:
