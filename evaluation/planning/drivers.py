@@ -2,13 +2,14 @@
 
 Names: `default` and `paper` are the planner's own two searches; `current-only` is the default on a field that is held
 as it is at t = 0, the ablation of the paper's thesis; `idm` follows the route by Treiber's car-following model.
-Peers (`peers.py`) are there where they can be imported.
+Other people's planners join under their own names where they are installed: a package that registers a factory of an
+`Alone` as an entry point of the group `forefield.planners` can be named too. None of them is a dependency of ours.
 """
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import dataclass
+from importlib import metadata
 from typing import Protocol
 
 import msgspec
@@ -28,6 +29,8 @@ from services.riskfield.settings import RiskfieldSettings
 
 OURS = ("default", "paper", "current-only")
 ALONE = ("idm",)
+GROUP = "forefield.planners"
+"""Entry points by which other planners join."""
 
 
 class Field(Protocol):
@@ -103,18 +106,19 @@ class HeldField:
 
 def known() -> tuple[str, ...]:
     """Every planner's name that can be used here."""
-    from evaluation.planning import peers
+    return (*OURS, *ALONE, *_peers())
 
-    return (*OURS, *ALONE, *(name for name, module in peers.MODULES.items() if importlib.util.find_spec(module)))
+
+def _peers() -> dict[str, metadata.EntryPoint]:
+    return {p.name: p for p in metadata.entry_points(group=GROUP) if p.name not in (*OURS, *ALONE)}
 
 
 def driver(name: str, tree: config.Tree) -> Cores | Alone:
     """Fresh for one drive.
 
     Raises:
-        ConfigError: nobody of this name, or not installed here.
+        ConfigError: nobody of this name.
     """
-    from evaluation.planning import peers
     from evaluation.planning.idm_driver import IdmDriver
 
     if name in OURS:
@@ -123,6 +127,8 @@ def driver(name: str, tree: config.Tree) -> Cores | Alone:
         return Cores.of(tree, hold_field=name == "current-only")
     if name == "idm":
         return IdmDriver()
-    if name in peers.MODULES:
-        return peers.driver(name)
+    peers = _peers()
+    if name in peers:
+        made: Alone = peers[name].load()()
+        return made
     raise ConfigError(f"--planner {name!r}: there are {', '.join(known())}")

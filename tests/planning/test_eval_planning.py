@@ -182,3 +182,22 @@ def test_the_poisson_bound_is_the_textbook_one():
     assert poisson_bound(0, 1000.0) == pytest.approx(2.9957, abs=1e-3)
     assert poisson_bound(1, 1000.0) == pytest.approx(4.7439, abs=1e-3)
     assert poisson_bound(3, 500.0) == pytest.approx(2 * 7.7537, abs=1e-2)
+
+
+def test_another_planner_joins_by_an_entry_point_under_its_own_name(monkeypatch: pytest.MonkeyPatch):
+    from importlib import metadata
+
+    from evaluation.planning import drivers
+    from evaluation.planning.idm_driver import IdmDriver
+
+    points = metadata.EntryPoints(
+        [
+            metadata.EntryPoint("peer", "evaluation.planning.idm_driver:IdmDriver", drivers.GROUP),
+            metadata.EntryPoint("default", "evaluation.planning.idm_driver:IdmDriver", drivers.GROUP),
+        ]
+    )
+    monkeypatch.setattr(drivers.metadata, "entry_points", lambda group: points.select(group=group))
+    assert known() == ("default", "paper", "current-only", "idm", "peer")
+    assert isinstance(drivers.driver("peer", {}), IdmDriver)
+    with pytest.raises(ConfigError, match="there are default"):
+        drivers.driver("nobody", {})
