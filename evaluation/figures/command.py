@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from evaluation.figures.draw import FIGURES
+from evaluation.figures.run_figures import RUN_FIGURES
 from evaluation.figures.style import RC
 
 
@@ -15,7 +16,7 @@ def write(folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with mpl.rc_context(RC):  # type: ignore[arg-type]
-        for name, make in FIGURES.items():
+        for name, make in {**FIGURES, **RUN_FIGURES}.items():
             path = folder / f"{name}.png"
             make().savefig(path)
             written.append(path)

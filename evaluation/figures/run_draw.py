@@ -13,7 +13,8 @@ from common.messages import F64
 from evaluation.figures.run_scenes import FieldThen, Run, Step
 from evaluation.figures.style import ACCENT, EGO, INK, RISK_TOP, body, metres, risk_colours
 
-LEFT_M, RIGHT_M = 8.5, 5.5
+OFF_ROAD = "#e9eaec"
+LEFT_M, RIGHT_M = 6.4, 2.9
 
 
 def frame(ax: Any, drive: Run, step: Step, low: float, high: float, trail: int) -> Any:
@@ -69,7 +70,7 @@ def _field(ax: Any, then: FieldThen, here: Any, turn: float) -> Any:
         then.m.T,
         origin="lower",
         extent=(0.0, g.rows * g.h, 0.0, g.columns * g.h),
-        cmap=risk_colours(),
+        cmap=risk_colours().with_extremes(bad=OFF_ROAD),
         vmin=0.0,
         vmax=RISK_TOP,
         interpolation="bilinear",

@@ -43,8 +43,8 @@ def overtaking() -> Figure:
     drive = run("slow_pedestrian")
     (s, d), (other_s, _) = drive.along(), drive.of(drive.only_other)
     chosen = moments(s, d, other_s)
-    fig = Figure(figsize=(10.2, 8.6), layout="constrained")
-    rows = fig.subplots(5, 1, gridspec_kw={"height_ratios": [1.0, 1.0, 1.0, 1.0, 1.25]})
+    fig = Figure(figsize=(10.2, 7.3), layout="constrained")
+    rows = fig.subplots(5, 1, gridspec_kw={"height_ratios": [1.0, 1.0, 1.0, 1.0, 1.6]})
     low, high = s[chosen[0][0]] - 12.0, s[chosen[-1][0]] + 26.0
     image = None
     for letter, ax, (k, what) in zip("abcd", rows, chosen, strict=False):

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from evaluation.figures.run_draw import frame
 from evaluation.figures.run_scenes import run
-from evaluation.figures.style import EGO, INK, risk_bar
+from evaluation.figures.style import INK, risk_bar
 
 TRUCK, CAR = "#d55e00", "#009e73"
 
@@ -15,8 +15,8 @@ TRUCK, CAR = "#d55e00", "#009e73"
 def truck() -> Figure:
     """The field beside a truck and beside a car, and the speeds of both drives."""
     drives = {"truck": run("truck_adjacent"), "car": run("car_adjacent")}
-    fig = Figure(figsize=(10.2, 6.4), layout="constrained")
-    rows = fig.subplots(3, 1, gridspec_kw={"height_ratios": [1.0, 1.0, 1.6]})
+    fig = Figure(figsize=(10.2, 5.6), layout="constrained")
+    rows = fig.subplots(3, 1, gridspec_kw={"height_ratios": [1.0, 1.0, 2.0]})
     image = None
     for letter, ax, (kind, drive) in zip("ab", rows, drives.items(), strict=False):
         s, _ = drive.along()
@@ -30,8 +30,7 @@ def truck() -> Figure:
             loc="left",
         )
         rows[2].plot(s, drive.speed, color=TRUCK if kind == "truck" else CAR, lw=1.6, label=f"beside a {kind}")
-        for at in (s[k],):
-            rows[2].axvline(at, color=TRUCK if kind == "truck" else CAR, lw=0.7, ls=":")
+        rows[2].axvline(s[k], color=TRUCK if kind == "truck" else CAR, lw=0.7, ls=":")
     rows[0].set_xlabel("")
     limit = next(iter(drives.values())).scenario.route.speed_limit
     if limit:
@@ -46,5 +45,5 @@ def truck() -> Figure:
     rows[2].set_title("(c)  speed along the road; dotted: level with it", loc="left")
     if image is not None:
         risk_bar(fig, image, list(rows[:2]), shrink=0.8)
-    fig.suptitle("A truck's field is wider than a car's, and the ego passes it more slowly", size=10, color=EGO)
+    fig.suptitle("A truck's field is wider than a car's, and the ego passes it more slowly", size=10)
     return fig
