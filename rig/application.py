@@ -21,6 +21,7 @@ from common.config import ConfigError, Tree
 from rig import (
     certificate_commands,
     configuration,
+    field_commands,
     hazard_commands,
     health_table,
     planning_commands,
@@ -46,6 +47,7 @@ bench = typer.Typer(help="Benchmarks, each with a JSON result.", no_args_is_help
 app.add_typer(bench, name="bench")
 prediction_commands.register(app, bench)
 hazard_commands.register(app)
+field_commands.register(bench)
 review_commands.register(app)
 planning_commands.register(app)
 certificate_commands.register(app)

@@ -45,6 +45,10 @@ class DeviceArray:
         array = self.room(size, dtype)
         return self._flat[:size].reshape(shape), array
 
+    def read(self, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+        """A copy of what the device holds."""
+        return np.array(self._array.numpy()[: math.prod(shape)]).reshape(shape)
+
     def upload(self) -> None:
         """From the pinned memory to the device; nothing to do on the CPU."""
         if self._pinned is not None and self._pinned is not self._array:

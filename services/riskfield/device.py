@@ -98,6 +98,14 @@ class FieldDevice:
             wp.synchronize_device(self._device)
         return volume.view(np.float16) if self._half else volume, dominant
 
+    def rows(self, packed: PackedObjects) -> tuple[F32, F32]:
+        """What the kernels read for the frame computed last: objects and segments, copied; for measurements."""
+        slices, count = packed.objects.shape[:2]
+        room = self._room(count)
+        objects = self._in["objects"].read((slices, room, len(OBJECT_FIELDS)))
+        segments = self._work["segments"].read((room, MOST_VERTICES - 1, len(SEGMENT_FIELDS)))
+        return objects[:, :count], segments[:count]
+
     @staticmethod
     def _room(count: int) -> int:
         """Objects for which there is room: grows in steps, so that a graph holds for many frames."""
