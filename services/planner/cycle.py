@@ -20,9 +20,10 @@ from services.planner.bezier import Paths, Start, Target, build_paths, frenet_st
 from services.planner.decision import Obstruction, explain, explain_cap, verb
 from services.planner.footprint import Footprint, PathRisk, path_risk
 from services.planner.lanes import RouteLanes
+from services.planner.pushers import pushers, without
 from services.planner.reference import ReferenceLine
 from services.planner.rollout import DT, FAILURES, Field, Rollouts, Tier, roll_out
-from services.planner.search import REFERENCE, full_brake, lane_centre_distance, path_cost, search
+from services.planner.search import REFERENCE, full_brake, lane_centre_distance, path_cost, search, track_name
 from services.planner.settings import PlannerSettings
 from services.planner.speed import CAUSES, Cap, brake_before, curve_speed, stop_at
 from services.planner.stopping import stopping_tail
@@ -30,6 +31,9 @@ from services.planner.trajectory import Memory, Motion, Path, trajectory_of
 from services.planner.volume import Volume
 
 F64 = npt.NDArray[np.float64]
+
+_LEAVES = 0.6
+"""A path whose offset changes by more than this leaves where the ego drives [m]."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     previous = scene.memory.target_name if scene.memory is not None else ""
     look = _sample(scene, settings)
     start, paths = scene.start, look.paths
-    field = Field.of(look.risk, scene.volume, look.cap, paths.end, look.s_max, paths.step, settings)
+    field = Field.of(look.risk, scene.volume, look.cap, paths.end, look.s_max, paths.step, settings, paths.curvature)
     committed = np.arange(len(paths.target)) >= look.fresh
     cost = path_cost(paths, scene.road.lanes, look.footprint.half_width, previous, committed, settings)
     verdict = search(field, start, settings, cost, lambda rest: lane_centre_distance(paths, scene.road.lanes, rest))
@@ -177,16 +181,52 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
         max_curvature=settings.max_curvature,
     )
     footprint = _footprint(scene, settings)
-    risk = path_risk(scene.volume, footprint, paths.x, paths.y, paths.heading, step)
+    off = _beside_lane(road.lanes, paths)
+    leaves = np.abs(off[:, -1] - off[:, 0]) > _LEAVES
+    risk = path_risk(
+        scene.volume,
+        footprint,
+        paths.x,
+        paths.y,
+        paths.heading,
+        step,
+        leaves=leaves,
+        r_hit=settings.r_hit,
+        r0=settings.r0,
+    )
+    risk = without(risk, _pushers(scene, paths, footprint, leaves, settings), ~leaves)
     cap = _cap(scene, paths, risk.known, footprint, settings)
     fresh = len(targets) - len(targets) % len(settings.lengths)
     return _Sampled(frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max), scene.volume)
 
 
+def _beside_lane(lanes: RouteLanes, paths: Paths) -> F64:
+    """Offset of paths from the lane in which the ego is, where that is known, otherwise from the reference line."""
+    here = int(lanes.index(paths.s[0, 0]))
+    own = [t for t in lanes.tracks if t.first <= here <= t.last and abs(float(t.centre[here]) - paths.d[0, 0]) < 1.8]
+    if not own:
+        return paths.d
+    track = min(own, key=lambda t: abs(float(t.centre[here]) - float(paths.d[0, 0])))
+    return np.asarray(paths.d - track.centre[lanes.index(paths.s)])
+
+
+def _pushers(
+    scene: Scene, paths: Paths, footprint: Footprint, leaves: npt.NDArray[np.bool_], settings: PlannerSettings
+) -> frozenset[int]:
+    """Who would run into the ego from behind if it went on as it does."""
+    off = _beside_lane(scene.road.lanes, paths)
+    k = int(np.argmin(np.where(leaves, 1e3, np.abs(off[:, -1] - off[:, 0])) - 1e-3 * paths.length))
+    t: F64 = np.asarray(DT * np.arange(round(settings.horizon_s / DT) + 1), dtype=np.float64)
+    path = Path.of(paths, k)
+    x, y, heading, _ = path.at(scene.start.speed * t)
+    return pushers(scene.volume, footprint, x, y, heading, t, settings.r_hit)
+
+
 def _footprint(scene: Scene, settings: PlannerSettings) -> Footprint:
     """The outline; who is beside or behind nearer than touching already may stay so near, for braking frees nobody."""
-    footprint = Footprint.of(scene.ego, settings.footprint_spacing, settings.flank_margin)
     start = scene.start
+    behind = settings.gap_behind + settings.headway_behind * start.speed
+    footprint = Footprint.of(scene.ego, settings.footprint_spacing, settings.flank_margin, behind)
     x, y = footprint.at(np.array([start.x]), np.array([start.y]), np.array([start.heading]))
     now = scene.volume.sample(x, y)[0][0, 0].astype(np.float64)
     beside = footprint.margin > 0.0
@@ -206,11 +246,17 @@ def _targets(
     lanes, speed = scene.road.lanes, scene.start.speed
     stations = np.arange(len(lanes.limit), dtype=np.float64)
     longest = max(settings.lengths[-1][0], settings.lengths[-1][1] * speed)
+    ahead = lanes.index(np.linspace(s[0], s[0] + longest, 5)[1:])
     for name, side in (("left lane", lanes.left), ("right lane", lanes.right)):
-        if side.exists[lanes.index(np.linspace(s[0], s[0] + longest, 5)[1:])].all():
+        if side.exists[ahead].all() and not side.same_direction[ahead].all():
             centre = np.interp(s, stations, side.centre)
             slope = np.interp(s, stations, side.slope) * ((s > 0) & (s < stations[-1]))
             kinds.append(Target(name, centre, slope, np.gradient(slope, s)))
+    inside = (s > 0) & (s < stations[-1])
+    for k in _near_tracks(lanes, s[0], frenet[1], longest):
+        track = lanes.tracks[k]
+        values = (np.interp(s, stations, q) for q in (track.centre, track.slope, track.bend))
+        kinds.append(Target(track_name(k), next(values), next(values) * inside, next(values) * inside))
     targets, lengths = [], []
     for kind in kinds:
         for least, seconds in settings.lengths:
@@ -224,6 +270,23 @@ def _targets(
                 targets.append(kind)
                 lengths.append(left)
     return targets, np.array(lengths)
+
+
+_BESIDE = 5.0  # m; lanes further from the ego are no targets
+_SAME = 0.5  # m; a lane this near to the reference line is no other target
+_TRACKS = 3
+
+
+def _near_tracks(lanes: RouteLanes, s: float, d: float, longest: float) -> list[int]:
+    """Indices of the lanes that the ego could drive in, the nearest first, other than under the reference line."""
+    here, there = (int(i) for i in lanes.index(np.array([s, s + longest])))
+    found = []
+    for k, track in enumerate(lanes.tracks):
+        if track.first <= here <= track.last - 2:
+            away = abs(float(track.centre[here]) - d)
+            if away <= _BESIDE and np.abs(track.centre[here : max(there, here + 1) + 1]).max() > _SAME:
+                found.append((away, k))
+    return [k for _, k in sorted(found)[:_TRACKS]]
 
 
 def _cap(scene: Scene, paths: Paths, known: F64, footprint: Footprint, settings: PlannerSettings) -> Cap:
@@ -298,7 +361,7 @@ def _decide(
     if failure == 0 or not slow:
         return _decide_cap(look, chosen, target, speed)
     kind = FAILURES[failure]
-    if kind == "tight":
+    if kind in ("tight", "swerve"):
         return explain_cap(target, speed, "curve", distance)
     j = int(volume.slice_at(at * DT))
     i = min(int(distance / paths.step), field.points - 1)
@@ -309,8 +372,8 @@ def _decide(
         place = float(field.stays[chosen * field.points + i]) + field.gap + 0.3
         j = 0
     else:
-        hit = field.hit if tier < 2 else field.hit_ahead
-        place = float(hit[(chosen * field.slices + j) * field.points + i]) + 0.3
+        contact = field.contact if tier < 2 else field.ahead
+        place = float(contact.distance[chosen, j, i]) + 0.3
     obstruction = Obstruction(Path.of(paths, chosen), min(place, paths.step * (field.points - 1)), (j, j + 1))
     return explain(target, speed, obstruction, volume, look.footprint, kind)
 

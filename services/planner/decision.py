@@ -29,7 +29,7 @@ def explain(
     """Name what limits the speed to `desired`: the highest risk on the outline at the obstruction."""
     x, y, heading, _ = obstruction.path.at(np.array([obstruction.distance]))
     fx, fy = footprint.at(x, y, heading)
-    values, _known = volume.sample(fx, fy)  # [S, 1, k]
+    values, _known = volume.sample(fx[:, : footprint.outline], fy[:, : footprint.outline])  # [S, 1, k]
     slices = sorted({min(max(j, 0), volume.slices - 1) for j in obstruction.slices})
     j = max(slices, key=lambda s: float(values[s].max()))
     k = int(np.argmax(values[j, 0]))

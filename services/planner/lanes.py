@@ -1,6 +1,7 @@
 """What the map says along the route: speed limits, the own lane's edges, the neighbouring lanes.
 
-Everything is an offset from the smooth reference line, d > 0 to the left, at stations every metre.
+Everything is an offset from the smooth reference line, d > 0 to the left, at stations every metre. Where the reference
+line changes lanes, the lanes themselves go straight on: a `Track` is a lane with the ones that follow it.
 """
 
 from __future__ import annotations
@@ -36,6 +37,17 @@ class Neighbour:
 
 
 @dataclass(frozen=True)
+class Track:
+    """A lane of the route's direction and those that follow it; arrays over the stations."""
+
+    first: int  # stations between which it lies along the reference line
+    last: int
+    centre: F64  # offset of its centre line, held beyond its ends [m]
+    slope: F64  # d centre / ds
+    bend: F64  # d² centre / ds² [1/m]
+
+
+@dataclass(frozen=True)
 class RouteLanes:
     """The road along the reference line; arrays over the stations."""
 
@@ -45,6 +57,7 @@ class RouteLanes:
     mapped: npt.NDArray[np.bool_]  # a lane of the map was found here
     left: Neighbour
     right: Neighbour
+    tracks: tuple[Track, ...] = ()
 
     @staticmethod
     def of(reference: ReferenceLine, route: Route, road: Map) -> RouteLanes:
@@ -75,11 +88,55 @@ class RouteLanes:
             np.array([lane is not None for lane in own]),
             _neighbour(reference, stations, own, by_id, "left"),
             _neighbour(reference, stations, own, by_id, "right"),
+            _tracks(reference, stations, road.lanes),
         )
 
     def index(self, s: npt.ArrayLike) -> npt.NDArray[np.intp]:
         """Station at arc lengths `s`."""
         return np.clip(np.rint(np.asarray(s) / SPACING).astype(np.intp), 0, len(self.limit) - 1)
+
+
+_BESIDE = 9.0  # m; tracks further away are of no use
+_JOINT = 1.0  # m; a lane whose centre begins further from the end of another does not follow it
+
+
+def _tracks(reference: ReferenceLine, stations: F64, lanes: list[Lane]) -> tuple[Track, ...]:
+    """Every lane beside the reference line that runs its way, each with the ones before and after it."""
+    offsets = {lane.id: _offsets(reference, lane.centre, stations) for lane in _along(reference, lanes, _BESIDE)}
+    offsets = {i: d for i, d in offsets.items() if np.isfinite(d).sum() >= 2}
+    after = {lane.id: [k for k in lane.successors if k in offsets] for lane in lanes if lane.id in offsets}
+    before: dict[int, list[int]] = {i: [] for i in offsets}
+    for i, following in after.items():
+        for k in following:
+            before[k].append(i)
+    tracks, used = [], set[int]()
+    for i in sorted(offsets, key=lambda k: int(np.flatnonzero(np.isfinite(offsets[k]))[0])):
+        if i in used:
+            continue
+        chain = [i]
+        while (later := _next(offsets, chain[-1], after[chain[-1]], ahead=True)) is not None and later not in chain:
+            chain.append(later)
+        while (sooner := _next(offsets, chain[0], before[chain[0]], ahead=False)) is not None and sooner not in chain:
+            chain.insert(0, sooner)
+        used.update(chain)
+        merged = np.full(len(stations), np.nan)
+        for k in reversed(chain):
+            merged = np.where(np.isfinite(offsets[k]), offsets[k], merged)
+        known = np.flatnonzero(np.isfinite(merged))
+        centre = _filled(_filled(merged))
+        slope = np.gradient(centre, SPACING) if len(stations) > 1 else np.zeros(len(stations))
+        bend = np.gradient(slope, SPACING) if len(stations) > 1 else np.zeros(len(stations))
+        tracks.append(Track(int(known[0]), int(known[-1]), centre, slope, bend))
+    return tuple(tracks)
+
+
+def _next(offsets: dict[int, F64], lane: int, others: list[int], *, ahead: bool) -> int | None:
+    """Which of the lanes after (or before) one goes on from it most smoothly."""
+    end = -1 if ahead else 0
+    at = offsets[lane][np.isfinite(offsets[lane])][end]
+    jumps = {k: abs(float(offsets[k][np.isfinite(offsets[k])][-1 - end]) - float(at)) for k in others}
+    best = min(jumps, key=lambda k: jumps[k], default=None)
+    return best if best is not None and jumps[best] <= _JOINT else None
 
 
 def _offsets(reference: ReferenceLine, points: F64, stations: F64) -> F64:
@@ -145,8 +202,13 @@ def _filled(a: F64) -> F64:
 
 def _under(reference: ReferenceLine, lanes: list[Lane]) -> list[Lane]:
     """Lanes whose centre line runs within 1.5 m of the reference line, in its direction."""
-    low = np.array([reference.x.min(), reference.y.min()]) - 2.0
-    high = np.array([reference.x.max(), reference.y.max()]) + 2.0
+    return _along(reference, lanes, 1.5)
+
+
+def _along(reference: ReferenceLine, lanes: list[Lane], reach: float) -> list[Lane]:
+    """Lanes whose centre line runs within `reach` of the reference line [m], in its direction."""
+    low = np.array([reference.x.min(), reference.y.min()]) - reach - 0.5
+    high = np.array([reference.x.max(), reference.y.max()]) + reach + 0.5
     out = []
     for lane in lanes:
         c = lane.centre
@@ -157,7 +219,7 @@ def _under(reference: ReferenceLine, lanes: list[Lane]) -> list[Lane]:
         except ValueError:
             continue
         s, d = reference.project_line(line.points)
-        inside = (s >= 0.0) & (s <= reference.length) & (np.abs(d) < 1.5)
+        inside = (s >= 0.0) & (s <= reference.length) & (np.abs(d) < reach)
         if not np.any(inside):
             continue
         middle = line.s[inside]

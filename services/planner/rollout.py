@@ -6,9 +6,11 @@ after the hold, a check rollout brakes to rest. What is published is the very ro
 Checks, each with the name under which a failure is reported:
 - `contact`: short of s_hit (by 0.8 m while moving), and once stopped the place stays free;
 - `law`: up to the hold the target is within the speed law of the risk met; later v ≤ max(law, what braking leaves);
-- `stop`: after 2 s the stop speed holds, unless the ego falls back from what is ahead;
+- `stop`: after 2 s the stop speed holds, unless the ego falls back from what is ahead; whoever does not close in may
+  have less headway at first, for who falls back in haste because somebody has cut in is run into from behind;
 - `stays`: the same against what may stay put;
-- `tight`: the path is left before its curve is too tight to drive.
+- `tight`: the path is left before its curve is too tight to drive;
+- `swerve`: lateral acceleration stays within what the tier allows, or what it is already.
 """
 
 from __future__ import annotations
@@ -21,10 +23,12 @@ import numpy as np
 import numpy.typing as npt
 
 from services.planner.backend import kernels
+from services.planner.beside import beside_law
 from services.planner.bezier import Start
+from services.planner.contact import Contact
 from services.planner.footprint import PathRisk
 from services.planner.settings import PlannerSettings
-from services.planner.speed import FAR, Cap, contact_distance, contact_speed, speed_law
+from services.planner.speed import FAR, Cap, contact_distance
 from services.planner.volume import Volume
 
 F64 = npt.NDArray[np.float64]
@@ -33,9 +37,10 @@ Bools = npt.NDArray[np.bool_]
 
 DT = 0.1
 """Step of a rollout [s]."""
-FAILURES = ("", "contact", "law", "stop", "stays", "tight")
+FAILURES = ("", "contact", "law", "stop", "stays", "tight", "swerve")
 _CLEAR = 0.8  # m; short of a contact while moving
 _SOFT_AFTER = 2.0  # s
+_EASE, _EASE_S = 0.4, 4.0  # the share of the headway that must be there then, and how long until all of it is [s]
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,9 @@ class Tier:
     jerk: float  # [m/s³]
     soft: bool  # whether the soft checks count, and contact beside and behind
     gain: float  # of the speed controller, times tau
-    most: float  # highest target speed: this times the speed now
+    most: float  # highest target speed: this times the speed now …
+    lateral: float  # [m/s²]
+    crawl: float = 0.0  # … or this [m/s]
     swept: bool = False  # whether what comes over the ego even if it stands is let be
 
     @staticmethod
@@ -58,14 +65,14 @@ class Tier:
         if it stands, which no brake prevents. Braking tiers are there to brake: no faster than now, the harder the
         further below.
         """
-        brake, jerk = settings.tier_brake, settings.tier_jerk
+        brake, jerk, lateral, crawl = settings.tier_brake, settings.tier_jerk, settings.tier_lateral, settings.crawl
         return (
-            Tier(0, brake[0], jerk[0], True, 1.0, np.inf),
-            Tier(1, brake[1], jerk[1], True, 0.6, 1.0),
-            Tier(2, brake[1], jerk[1], False, 0.6, 0.9),
-            Tier(3, 0.5 * (brake[0] + brake[1]), jerk[1], False, 0.6, 0.8, swept=True),
-            Tier(4, brake[2], jerk[2], False, 0.4, 0.8),
-            Tier(5, brake[3], jerk[3], False, 0.3, 0.6),
+            Tier(0, brake[0], jerk[0], True, 1.0, np.inf, lateral[0]),
+            Tier(1, brake[1], jerk[1], True, 0.6, 1.0, lateral[1]),
+            Tier(2, brake[1], jerk[1], False, 0.6, 0.9, lateral[1], crawl),
+            Tier(3, 0.5 * (brake[0] + brake[1]), jerk[1], False, 0.6, 0.8, lateral[1], crawl, swept=True),
+            Tier(4, brake[2], jerk[2], False, 0.4, 0.8, lateral[2]),
+            Tier(5, brake[3], jerk[3], False, 0.3, 0.6, lateral[3]),
         )
 
 
@@ -77,13 +84,13 @@ class Field:
     points: int
     slices: int
     starts: F64  # of the slices [S] [s]
-    hit: F64  # s_hit [n · S · p] [m]
-    hit_ahead: F64  # s_hit of what is ahead alone [n · S · p] [m]
-    room: F64  # s_hit − gap + u²/(2 b_stop) [n · S · p] [m]
-    away: F64  # u [n · S · p] [m/s]
+    contact: Contact  # [n, S, p]
+    ahead: Contact  # of what is ahead alone [n, S, p]
     stays: F64  # s_hit − gap of what may stay put [n · p] [m]
     law: F64  # speed law [n · S · p] [m/s]
+    law_now: F64  # the same, at the very start of each slice
     cap_squared: F64  # [n · p]
+    bend: F64  # size of the curvature [n · p] [1/m]
     end: F64  # length that can be steered; FAR if all of it [n] [m]
     s_max: F64  # highest wanted speed at the start of each path [n] [m/s]
     gap: float  # [m]
@@ -91,32 +98,47 @@ class Field:
 
     @staticmethod
     def of(
-        risk: PathRisk, volume: Volume, cap: Cap, end: F64, s_max: F64, step: float, settings: PlannerSettings
+        risk: PathRisk,
+        volume: Volume,
+        cap: Cap,
+        end: F64,
+        s_max: F64,
+        step: float,
+        settings: PlannerSettings,
+        curvature: F64 | None = None,
     ) -> Field:
-        """Slice j reads max(M_j, M_j+1): the ego may be early or late in it."""
-        r, touch = _with_next(risk.risk), risk.risk if risk.contact is None else risk.contact
-        hit = contact_distance(r if risk.contact is None else _with_next(touch), settings.r_hit, step)
-        front = hit if risk.ahead is None else contact_distance(_with_next(risk.ahead), settings.r_hit, step)
-        own = contact_distance(touch, settings.r_hit, step)
-        away = contact_speed(own, volume.starts)
+        """Contact moves within a slice if it is the same source's in the next; the speed law reads M_j and M_j+1."""
+        touch = risk.risk if risk.contact is None else risk.contact
+        who = risk.who
+        contact = Contact.of(touch, None if who is None else who[0], volume.starts, settings.r_hit, step)
+        ahead = contact
+        if risk.ahead is not None:
+            ahead = Contact.of(risk.ahead, None if who is None else who[1], volume.starts, settings.r_hit, step)
+        sides = np.stack((risk.risk, risk.risk)) if risk.sides is None else risk.sides
         stays = contact_distance(risk.stays, settings.r_hit, step)
-        worst = r.copy()
-        np.maximum(worst[..., :-1], r[..., 1:], out=worst[..., :-1])
-        law = speed_law(worst, s_max[:, None, None], settings.r0, settings.r1)
-        room = np.where(hit < FAR, hit - settings.gap + away**2 / (2.0 * settings.stop_brake), FAR)
+        law, law_now = beside_law(
+            sides,
+            None if who is None else who[2:],
+            volume.starts,
+            step,
+            float(s_max.max(initial=0.0)),
+            settings.r0,
+            settings.r1,
+            settings.along,
+        )
         return Field(
             step,
-            r.shape[2],
-            r.shape[1],
+            touch.shape[2],
+            touch.shape[1],
             volume.starts,
-            hit.ravel(),
-            front.ravel(),
-            room.ravel(),
-            away.ravel(),
+            contact,
+            ahead,
             np.where(stays < FAR, stays - settings.gap, FAR).ravel(),
             law.ravel(),
+            law_now.ravel(),
             (cap.speed**2).ravel(),
-            np.where(end < step * (r.shape[2] - 1), end, FAR),
+            np.zeros(cap.speed.size) if curvature is None else np.abs(curvature).ravel(),
+            np.where(end < step * (touch.shape[2] - 1), end, FAR),
             s_max,
             settings.gap,
             _swept(risk, volume.starts, settings.r_hit),
@@ -125,8 +147,10 @@ class Field:
     @cached_property
     def on_device(self) -> Any:
         """The same for the kernels."""
-        names = ("hit", "hit_ahead", "room", "away", "law", "stays", "cap_squared", "end")
-        return kernels.roll_field({name: getattr(self, name) for name in names})
+        arrays = {name: getattr(self, name) for name in ("law", "law_now", "stays", "cap_squared", "bend", "end")}
+        arrays |= {"hit": self.contact.distance, "rate": self.contact.rate, "away": self.contact.away}
+        arrays |= {"hit_ahead": self.ahead.distance, "rate_ahead": self.ahead.rate}
+        return kernels.RollField(arrays)
 
 
 def _swept(risk: PathRisk, starts: F64, r_hit: float) -> float:
@@ -135,13 +159,6 @@ def _swept(risk: PathRisk, starts: F64, r_hit: float) -> float:
     if here[0] or not here.any():
         return np.inf
     return float(max(starts[max(int(np.argmax(here)) - 1, 0)], 0.0))  # a slice reads the next one too
-
-
-def _with_next(risk: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """max(M_j, M_j+1) of risk [n, S, p]."""
-    out = risk.copy()
-    np.maximum(out[:, :-1], risk[:, 1:], out=out[:, :-1])
-    return out
 
 
 @dataclass(frozen=True)
@@ -187,8 +204,9 @@ def roll_out(
     n = round(settings.horizon_s / DT)
     times: F64 = np.asarray(DT * np.arange(n + 1), dtype=np.float64)
     slices = np.clip(np.searchsorted(field.starts, times + 1e-9, side="right") - 1, 0, field.slices - 1)
+    into = np.clip(times - field.starts[slices], 0.0, None)
     if kernels is None or reference:
-        return _roll_out(field, start, path, target, hold, tier, settings, times, slices)
+        return _roll_out(field, start, path, target, hold, tier, settings, times, slices, into)
     constants = {
         "points": field.points,
         "slices": field.slices,
@@ -211,17 +229,26 @@ def roll_out(
         "hold_s": settings.hold_s,
         "clear": _CLEAR,
         "soft_after": _SOFT_AFTER,
+        "lateral": _lateral(start, tier),
         "until": field.swept if tier.swept else 1e9,
         "headway": settings.headway,
+        "ease": _EASE,
+        "ease_s": _EASE_S,
+        "gap": field.gap,
         "stop_brake": settings.stop_brake,
     }
-    s, v, a, failure, failed_at = kernels.roll(field.on_device, constants, slices, path, target, hold)
+    s, v, a, failure, failed_at = kernels.roll(field.on_device, constants, slices, into, path, target, hold)
     return Rollouts(times, s, v, a, failure.astype(np.intp), failed_at.astype(np.intp))
 
 
 def _look(settings: PlannerSettings) -> float:
     """How far ahead the cap is read [s]."""
     return settings.tau + 0.5 * settings.curve_brake / settings.jerk
+
+
+def _lateral(start: Start, tier: Tier) -> float:
+    """Largest lateral acceleration: the tier's, or what it is already, for nothing lowers that at once [m/s²]."""
+    return max(tier.lateral, 1.02 * abs(start.curvature) * start.speed**2)
 
 
 def _gain(tier: Tier, settings: PlannerSettings) -> float:
@@ -239,6 +266,7 @@ def _roll_out(
     settings: PlannerSettings,
     times: F64,
     slices: Ints,
+    into: F64,
 ) -> Rollouts:
     n = len(times) - 1
     k = len(path)
@@ -285,7 +313,9 @@ def _roll_out(
         s = s + moved
         v, a = v_new, a_new
         out_s[i + 1], out_v[i + 1], out_a[i + 1] = s, v, a
-    failure, failed_at = _check(field, times, slices, out_s, out_v, path, target, hold, tier, settings)
+    failure, failed_at = _check(
+        field, times, slices, into, out_s, out_v, path, target, hold, tier, settings, _lateral(start, tier)
+    )
     return Rollouts(times, out_s.T, out_v.T, out_a.T, failure, failed_at)
 
 
@@ -293,6 +323,7 @@ def _check(
     field: Field,
     times: F64,
     slices: Ints,
+    into: F64,
     s: F64,
     v: F64,
     path: Ints,
@@ -300,27 +331,38 @@ def _check(
     hold: F64,
     tier: Tier,
     settings: PlannerSettings,
+    lateral: float,
 ) -> tuple[Ints, Ints]:
     """First failed check of motions s, v [T, K] and its step, each [K]."""
     n, k = s.shape
     cell = np.minimum((s * (1.0 / field.step)).astype(np.intp), field.points - 1)
     here = (path * (field.slices * field.points))[None] + (slices * field.points)[:, None] + cell
     moving = v > 0.05
-    bad = np.where(s + _CLEAR * moving < (field.hit if tier.soft else field.hit_ahead).take(here), 0, 1)
+    contact = field.contact if tier.soft else field.ahead
+    hit = contact.distance.ravel().take(here) + contact.rate.ravel().take(here) * into[:, None]
+    bad = np.where(s + _CLEAR * moving < hit, 0, 1)
     if tier.soft:
         law = field.law.take(here)
+        starts = into < DT - 1e-9
+        law[starts] = np.minimum(law[starts], field.law_now.take(here[starts]))
         t = times[:, None]
         left = np.maximum(target - tier.brake * np.maximum(t - settings.hold_s, 0.0), 0.0)
         above = np.where(t <= np.minimum(hold, settings.hold_s), target > law + 1e-9, v > np.maximum(law, left) + 0.05)
         bad = np.where((bad == 0) & above, 2, bad)
         late = slice(int(np.searchsorted(times, _SOFT_AFTER - 1e-9)), None)
         vl, sl = v[late], s[late]
-        need = vl * settings.headway + vl * vl * (0.5 / settings.stop_brake) + sl
-        fast = (need > field.room.take(here[late])) & (vl > 0.85 * field.away.take(here[late]) + 0.05)
-        put = need > field.stays.take((path * field.points)[None] + cell[late])
+        way = vl * vl * (0.5 / settings.stop_brake) + sl
+        ease = np.minimum(_EASE + (1.0 - _EASE) * (times[late, None] - _SOFT_AFTER) / _EASE_S, 1.0)
+        away = contact.away.ravel().take(here[late])
+        need = vl * settings.headway * np.where(vl <= away + 0.5, ease, 1.0) + way
+        room = hit[late] - field.gap + away * away * (0.5 / settings.stop_brake)
+        fast = (need > room) & (vl > 0.85 * away + 0.05)
+        put = vl * settings.headway + way > field.stays.take((path * field.points)[None] + cell[late])
         soft = np.where(fast, 3, np.where(put, 4, 0)) * moving[late]
         bad[late] = np.where(bad[late] == 0, soft, bad[late])
     bad = np.where((bad == 0) & (s > field.end[path]) & moving, 5, bad)
+    bend = field.bend.take((path * field.points)[None] + cell)
+    bad = np.where((bad == 0) & (bend * v * v > lateral), 6, bad)
     if tier.swept:
         bad[times >= field.swept - 1e-9] = 0
     any_bad = bad > 0

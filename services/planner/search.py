@@ -96,7 +96,7 @@ def full_brake(field: Field, start: Start, settings: PlannerSettings) -> tuple[i
 def _highest(field: Field, start: Start, path: Ints, holds: F64, tier: Tier, settings: PlannerSettings) -> Verdict:
     """The highest target speed that passes on each path with its hold, both [n]."""
     n = len(path)
-    most = tier.most * start.speed if np.isfinite(tier.most) else np.inf
+    most = max(tier.most * start.speed, tier.crawl) if np.isfinite(tier.most) else np.inf
     s_max = np.minimum(field.s_max[path], most)
     low, high = np.full(n, -1.0), np.full(n, 1.0)  # shares of s_max: highest passed, next that fails
     zero = np.zeros(n)
@@ -166,16 +166,38 @@ def path_cost(
     at = lanes.index(paths.s[np.arange(n), reach])
     end = paths.d[:, -1] if n == 0 else paths.d[np.arange(n), reach]
     early = max(int(24.0 / paths.step), 2)  # what lies further ahead will be planned again
-    cost = settings.mean_offset_cost * np.abs(paths.d[:, :early]).mean(axis=1) + settings.end_offset_cost * np.abs(end)
+    off, end_off, along = np.abs(paths.d[:, :early]), np.abs(end), np.zeros(n, dtype=bool)
+    name = np.array(paths.target)
+    for k, track in enumerate(lanes.tracks):
+        # whoever goes on in the lane in which he is drives on its centre, and waits for nobody to leave it
+        mine = name == track_name(k)
+        if mine.any() and abs(float(track.centre[lanes.index(paths.s[0, 0])] - paths.d[0, 0])) < _IN_LANE:
+            along |= mine
+            centre = track.centre[lanes.index(paths.s)]
+            off[mine] = np.abs(paths.d - centre)[mine, :early]
+            end_off[mine] = 0.0
+    cost = settings.mean_offset_cost * off.mean(axis=1) + settings.end_offset_cost * end_off
+    cost += settings.stay_cost * along
     cost += settings.length_cost * (1.0 - paths.length / paths.length.max()) * ~committed
     for sign, edge, side in ((1.0, lanes.own_left[at], lanes.left), (-1.0, -lanes.own_right[at], lanes.right)):
         over = sign * end + half_width - edge
-        leaves = (over > settings.lane_margin) & (np.abs(end) > 0.05)
+        leaves = (over > settings.lane_margin) & (np.abs(end) > 0.05) & ~along
         cost += np.where(leaves, _side_cost(side, lanes, at, over, settings), 0.0)
     if previous:
-        name = np.array(paths.target)
-        cost += np.where((name != previous) & (name != REFERENCE), settings.change_cost, 0.0)
+        change = np.where(name == REFERENCE, 0.0, np.where(along, 0.5, 1.0))
+        if previous.startswith(_LANE):  # who has found no gap so far does not try at every moment
+            change = np.where(name == REFERENCE, 0.5, change)
+        cost += np.where(name != previous, settings.change_cost * change, 0.0)
     return np.asarray(cost)
+
+
+_LANE = "lane "
+_IN_LANE = 1.0  # m
+
+
+def track_name(index: int) -> str:
+    """Name of the target that is one of `RouteLanes.tracks`."""
+    return f"{_LANE}{index}"
 
 
 REFERENCE = "reference"
@@ -198,7 +220,7 @@ def lane_centre_distance(paths: Paths, lanes: RouteLanes, distance: F64) -> F64:
     d = paths.d[np.arange(n), i]
     at = lanes.index(paths.s[np.arange(n), i])
     off = np.abs(d)
-    for side in (lanes.left, lanes.right):
-        usable = side.exists[at] & side.same_direction[at]
-        off = np.minimum(off, np.where(usable, np.abs(d - side.centre[at]), np.inf))
+    for track in lanes.tracks:
+        usable = (at >= track.first) & (at <= track.last)
+        off = np.minimum(off, np.where(usable, np.abs(d - track.centre[at]), np.inf))
     return np.asarray(off)

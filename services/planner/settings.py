@@ -35,20 +35,23 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     r0: NotNegative = 0.20  # up to here the speed law leaves S_max [E_max]
     r1: Positive = 0.90  # from here on it gives 0 [E_max]
     r_hit: Positive = 0.80  # contact: 0.3 m from a car [E_max]
+    along: Fraction = 0.9  # share of the speed of one who goes along beside, which may be driven however near he is
     flank_margin: NotNegative = 0.15
     """Beside the ego contact counts from r_hit + this: 0.15 m from a car, for braking makes no room there [E_max]."""
 
     # gap, headway, horizon: the planner's own
     gap: NotNegative = 3.0  # kept to what stands ahead [m]
-    headway: NotNegative = 0.9  # [s]
+    headway: NotNegative = 1.2  # [s]
+    gap_behind: NotNegative = 1.0  # to who follows where the ego pulls out before him [m] …
+    headway_behind: NotNegative = 0.25  # … and this times its speed [s]
     stop_brake: Positive = 4.0  # b_stop: deceleration that the stop-speed map counts on [m/s²]
     horizon_brake: Positive = 2.5  # with which the ego can stop before the first unknown point [m/s²]
 
     # comfort
-    accel: Positive = 1.07  # a_max [m/s²]
-    lateral_accel: Positive = 0.92  # a_lat of the curve speed [m/s²]
+    accel: Positive = 1.35  # a_max [m/s²]
+    lateral_accel: Positive = 1.03  # a_lat of the curve speed [m/s²]
     curve_brake: Positive = 1.0  # deceleration before curves, lower limits, the goal [m/s²]
-    jerk: Positive = 1.5  # in normal driving [m/s³]
+    jerk: Positive = 1.45  # in normal driving [m/s³]
     tau: Positive = 1.0  # time constant of the speed controller [s]
     target_filter: Fraction = 0.25  # share of a small change of the target speed taken each period
     target_band: NotNegative = 1.5  # changes larger than this are taken at once [m/s]
@@ -56,8 +59,10 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     restart_above: NotNegative = 1.0  # target speed at which a standing ego starts [m/s]
 
     # braking tiers: comfort, firm, hard, emergency
-    tier_brake: tuple[float, float, float, float] = (1.5, 3.0, 5.0, 8.0)  # [m/s²]
-    tier_jerk: tuple[float, float, float, float] = (1.5, 4.0, 12.0, 30.0)  # [m/s³]
+    tier_brake: tuple[float, float, float, float] = (1.45, 3.0, 5.0, 8.0)  # [m/s²]
+    tier_jerk: tuple[float, float, float, float] = (1.45, 4.0, 12.0, 30.0)  # [m/s³]
+    tier_lateral: tuple[float, float, float, float] = (1.15, 2.0, 3.5, 4.5)  # largest lateral acceleration [m/s²]
+    crawl: NotNegative = 1.5  # whoever is beside, so fast may be gone on [m/s]
     release_jerk: Positive = 10.0  # letting go of a brake harder than comfort [m/s³]
     hold_s: Positive = 1.5  # how long the target is held before the checked stop [s]
     horizon_s: Positive = 6.0  # [s]
@@ -69,7 +74,8 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     mean_offset_cost: NotNegative = 0.3  # for each metre
     end_offset_cost: NotNegative = 0.15  # for each metre
     length_cost: NotNegative = 0.05  # shortest length, falling to 0 for the longest
-    change_cost: NotNegative = 0.6  # hysteresis: another target than the one before, unless it is the reference line
+    change_cost: NotNegative = 1.2  # hysteresis: another target than the one before, unless it is the reference line
+    stay_cost: NotNegative = 0.8  # going on in the lane in which the ego is where the route leaves it
     neighbour_cost: NotNegative = 0.5  # leaving the own lane for one of the same direction
     unknown_side_cost: NotNegative = 1.5  # leaving it where no map tells what is there
     oncoming_cost: NotNegative = 4.0  # leaving it for one of the opposite direction
@@ -82,6 +88,8 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     tail_brakes: tuple[float, ...] = (2.5, 4.0, 8.0)  # the first that keeps the tail free is taken [m/s²]
     follow_distance: Positive = 0.3  # replan from the previous plan's state if the ego is this near to it [m]
     follow_speed: Positive = 0.5  # and this near in speed [m/s]
+    lead_speed: NotNegative = 0.2  # so far that state may be off the ego's own speed [m/s]
+    lead_accel: NotNegative = 0.5  # and off its acceleration [m/s²]
     max_risk_age: Positive = 0.3  # [s], transit included
     max_ego_age: Positive = 0.2  # [s]
     candidate_points: Annotated[int, Meta(ge=2, le=200)] = 36  # points of each candidate in the message

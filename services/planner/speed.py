@@ -44,20 +44,6 @@ def contact_distance(risk: npt.NDArray[np.floating], r_hit: float, step: float) 
     return np.asarray(np.minimum.accumulate(at[..., ::-1], axis=-1)[..., ::-1])
 
 
-def contact_speed(distance: F64, starts: F64) -> F64:
-    """Speed u ≥ 0 at which the contact moves away from slice to slice; distance [n, S, p], starts [S] [s].
-
-    A contact that appears, comes nearer or vanishes counts as standing.
-    """
-    u = np.zeros_like(distance)
-    if len(starts) > 1:
-        both = (distance[:, 1:] < FAR) & (distance[:, :-1] < FAR)
-        moved = np.where(both, distance[:, 1:] - distance[:, :-1], 0.0)
-        u[:, :-1] = np.clip(moved / np.diff(starts)[None, :, None], 0.0, 60.0)
-        u[:, -1] = np.where(distance[:, -1] < FAR, u[:, -2], 0.0)
-    return u
-
-
 def stop_speed(room: npt.ArrayLike, headway: float, brake: float) -> F64:
     """Largest v with v·headway + v²/(2·brake) ≤ room [m]; 0 where there is none."""
     room = np.maximum(np.asarray(room, dtype=np.float64), 0.0)

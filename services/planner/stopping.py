@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from services.planner.contact import meets
 from services.planner.footprint import Footprint, timed_risk
 from services.planner.settings import PlannerSettings
 from services.planner.trajectory import Motion, Path, brake_motion
 from services.planner.validator import contact_bound
 from services.planner.volume import Volume
-
-F64 = npt.NDArray[np.float64]
 
 
 def stopping_tail(
@@ -23,7 +21,8 @@ def stopping_tail(
     motions = [brake_motion(settings.valid_for, s, v, a, b, max(3.0 * b, 4.0)) for b in settings.tail_brakes]
     if volume is None or v <= 0.0:
         return motions[0]
-    risk = float(motion_risk(path, profile.until(0.1), volume, footprint)[0][0])
+    x, y, heading, _ = path.at(profile.distance[:1])
+    risk = float(timed_risk(volume, footprint, x, y, heading, profile.t[:1])[0][0])
     bound = contact_bound(risk, settings)
     for motion in motions[:-1]:
         if first_contact(path, motion, volume, footprint, bound) is None:
@@ -35,13 +34,8 @@ def first_contact(
     path: Path, motion: Motion, volume: Volume, footprint: Footprint, r_hit: float
 ) -> tuple[int, float] | None:
     """First sample of a motion that, moving, has a risk of r_hit or more, or leaves the grid; and that risk."""
-    risk, known = motion_risk(path, motion, volume, footprint)
-    moving = motion.speed > 0.05
-    bad = moving & (~(risk < r_hit) | ~known)
-    return (int(np.argmax(bad)), float(risk[np.argmax(bad)])) if bad.any() else None
-
-
-def motion_risk(path: Path, motion: Motion, volume: Volume, footprint: Footprint) -> tuple[F64, npt.NDArray[np.bool_]]:
-    """How near to contact ahead each sample of a motion is in its slice [m], and whether all of it is on the grid."""
     x, y, heading, _ = path.at(motion.distance)
-    return timed_risk(volume, footprint, x, y, heading, motion.t)
+    risk, known = timed_risk(volume, footprint, x, y, heading, motion.t)
+    moving = motion.speed > 0.05
+    bad = moving & (meets(volume, footprint, x, y, heading, motion.t, r_hit) | ~known)
+    return (int(np.argmax(bad)), float(risk[np.argmax(bad)])) if bad.any() else None

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from common.geometry import wrap_angle
 from common.messages import Ego, Plan, Trajectory
+from services.planner.contact import meets
 from services.planner.footprint import Footprint, timed_risk
 from services.planner.settings import PlannerSettings
 from services.planner.volume import Volume
@@ -132,7 +133,10 @@ def _risk_problem(
     moving = part.speed > 0.05
     bound = contact_bound(start_risk, settings)
     braking = bool(np.all(np.diff(part.speed) <= 1e-9)) and _brakes_hard(part, settings)
-    bad = moving & ~(risk <= bound) & ~_comes_over(part, ego, volume, footprint, settings)
+    half = 0.5 * ego.wheelbase
+    x, y = part.x - half * np.cos(part.heading), part.y - half * np.sin(part.heading)
+    met = ~(risk <= bound) & meets(volume, footprint, x, y, part.heading, part.t, bound)
+    bad = moving & met & ~_comes_over(part, ego, volume, footprint, settings)
     if bad.any() and not braking:
         i = int(np.argmax(bad))
         return f"meets risk {risk[i]:.2f} at {part.t[i]:.1f} s, contact is {settings.r_hit:.2f}"

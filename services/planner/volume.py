@@ -7,6 +7,7 @@ from the plan's own capture, so that an older volume is shifted by its age. Poin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,10 @@ from common.messages import BLOCK, NO_SLOT, Risk, Slot
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
+U8 = npt.NDArray[np.uint8]
+
+NOBODY = 255
+"""Source of what has none, or one that is not known."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,16 @@ class Volume:
         starts = np.asarray(risk.slice_times) + risk.t_offset + (capture_ns - plan_ns) * 1e-9
         first = max(int(np.searchsorted(starts, 0.0, side="right")) - 1, 0)
         return Volume(risk, first, starts[first:])
+
+    @cached_property
+    def who(self) -> U8:
+        """A number for the source of each slot [256]: its terms are one source; those that share a slot are NOBODY."""
+        out = np.full(256, NOBODY, dtype=np.uint8)
+        numbers: dict[tuple[int, int], int] = {}
+        for i, slot in enumerate(self.risk.slots[:NO_SLOT]):
+            if slot.id >= 0:
+                out[i] = min(numbers.setdefault((slot.id, slot.cls), len(numbers)), NOBODY)
+        return out
 
     @property
     def slices(self) -> int:
@@ -78,6 +93,27 @@ class Volume:
             for shift, weight in weights:
                 out[j_slice] += np.take(cells, index + shift) * weight
         return out, known
+
+    def sample_at(self, x: F64, y: F64, slices: npt.NDArray[np.intp]) -> F32:
+        """Risk at points [m, k], those of row i in slice `slices`[i] counted from the one in force; 0 where unknown."""
+        g = self.risk.grid
+        fi, fj = self.coordinates(x, y)
+        known = (fi >= 0) & (fi <= g.rows) & (fj >= 0) & (fj <= g.columns)
+        fi, fj = np.clip(fi - 0.5, 0.0, g.rows - 1.0), np.clip(fj - 0.5, 0.0, g.columns - 1.0)
+        i, j = np.minimum(fi.astype(np.intp), g.rows - 2), np.minimum(fj.astype(np.intp), g.columns - 2)
+        wi, wj = fi - i, fj - j
+        m, at = self.risk.volume, (self.first + slices)[:, None]
+        low = m[at, i, j] * (1 - wj) + m[at, i, j + 1] * wj
+        high = m[at, i + 1, j] * (1 - wj) + m[at, i + 1, j + 1] * wj
+        return np.where(known, low * (1 - wi) + high * wi, 0.0).astype(np.float32)
+
+    def dominant_at(self, x: F64, y: F64, slices: npt.NDArray[np.intp]) -> U8:
+        """Slot with the largest share at points [m, k], those of row i in slice `slices`[i]; nearest if off grid."""
+        g = self.risk.grid
+        i, j = self.coordinates(x, y)
+        bi = np.clip(i, 0, g.rows - 1).astype(np.intp) // BLOCK
+        bj = np.clip(j, 0, g.columns - 1).astype(np.intp) // BLOCK
+        return np.asarray(self.risk.dominant[(self.first + slices)[:, None], bi, bj])
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """The cell (i, j) in which a point lies, at the nearest edge if it lies beyond the grid."""

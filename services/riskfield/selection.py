@@ -18,7 +18,8 @@ def followers(sources: DynamicSources, ego: Ego) -> Bools:
     """Objects that at slice 0 are wholly behind the ego's rear bumper, overlap it laterally and head its way, [n].
 
     A follower must not push: its risk behind the ego would only make the ego flee forward. Rear traffic beside the
-    ego's own lane stays, merging needs it.
+    ego's own lane stays, merging needs it. Who has run into the ego from behind, overlaps it and is faster, is a
+    follower still: braking for him would only make it worse.
     """
     corners = rectangle_corners(
         sources.x[0] - ego.x, sources.y[0] - ego.y, sources.heading[0], sources.length[0], sources.width[0]
@@ -29,7 +30,8 @@ def followers(sources: DynamicSources, ego: Ego) -> Bools:
     behind = along.max(-1) < -ego.length / 2
     overlaps = (beside.min(-1) < ego.width / 2) & (beside.max(-1) > -ego.width / 2)
     same_way = np.abs(wrap_angle(sources.heading[0] - ego.heading)) <= FOLLOWER_HEADING
-    return np.asarray(behind & overlaps & same_way)
+    striking = (along.min(-1) < ego.length / 2) & (sources.u[0] > 0.0)
+    return np.asarray((behind | striking) & overlaps & same_way)
 
 
 def left_out(sources: DynamicSources, ego: Ego) -> tuple[Bools, list[LeftOut]]:

@@ -23,7 +23,7 @@ def walls(px: np.ndarray, py: np.ndarray) -> np.ndarray:
 def comfortable(d: Drive) -> None:
     assert set(d.modes) == {"drive"}
     assert d.acceleration.min() > -1.6
-    assert d.acceleration.max() < 1.2
+    assert d.acceleration.max() < 1.4
     assert np.abs(d.jerk()).max() < 1.8
 
 

@@ -12,7 +12,7 @@ from services.planner.core import Planner
 from services.planner.footprint import Footprint, PathRisk, path_risk
 from services.planner.rollout import Field, Tier, roll_out
 from services.planner.settings import PlannerSettings
-from services.planner.speed import FAR, Cap, contact_distance, contact_speed, stop_speed
+from services.planner.speed import FAR, Cap, contact_distance, stop_speed
 from services.planner.volume import Volume
 from tests.planner.worlds import (
     WHEELBASE,
@@ -285,15 +285,6 @@ def test_the_stop_speed_stops_short_of_the_gap():
         v = float(stop_speed(room, 0.9, 4.0))
         assert abs(v * 0.9 + v * v / 8.0 - room) < 1e-6
     assert stop_speed(-3.0, 0.9, 4.0) == 0.0
-
-
-def test_a_contact_that_moves_away_is_followed_and_one_that_appears_stands():
-    distance = np.full((1, 4, 5), FAR)
-    distance[0, :, 0] = [20.0, 24.0, 28.0, 32.0]
-    distance[0, :, 1] = [FAR, 24.0, 20.0, FAR]
-    u = contact_speed(distance, np.arange(4) * 0.5)
-    assert np.allclose(u[0, :, 0], 8.0)
-    assert np.allclose(u[0, :, 1], 0.0)
 
 
 def test_an_obstacle_does_not_fall_out_of_the_horizon_as_the_ego_slows():

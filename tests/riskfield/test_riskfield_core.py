@@ -128,6 +128,13 @@ def test_only_a_follower_is_left_out(field, row, why):
     assert step(field, [dict(speed=10.0) | row]).left_out == [], why
 
 
+def test_who_has_run_into_the_ego_from_behind_is_a_follower_still_and_who_is_run_into_is_not(field):
+    struck = dict(x=-3.0, y=0.4)
+    assert [e.id for e in step(field, [dict(id=3, speed=12.0) | struck], ego(speed=8.0)).left_out] == [3]
+    assert step(field, [dict(id=3, speed=5.0) | struck], ego(speed=8.0)).left_out == []
+    assert step(field, [dict(id=3, x=-3.0, y=2.6, speed=12.0)], ego(speed=8.0)).left_out == []
+
+
 def test_a_follower_is_recognised_whatever_the_egos_heading(field):
     heading = 2.5
     x, y = 50 - 12 * np.cos(heading), 60 - 12 * np.sin(heading)
