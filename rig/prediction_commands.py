@@ -6,6 +6,7 @@ What they need beyond the bench (matplotlib, Eclipse SUMO) is imported only by t
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -82,6 +83,7 @@ def train_predictor(
     shrink: Annotated[
         tuple[float, float], typer.Option("--shrink", help="Of the residual, in the city and on fast roads.")
     ] = (1.0, 0.9),
+    note: Annotated[str, typer.Option("--note", help="Said in the card, such as how a table was generated.")] = "",
     device: TorchDevice = "cpu",
 ) -> None:
     """Train the predictor on trajectory tables and write a folder of weights with its model card."""
@@ -101,7 +103,9 @@ def train_predictor(
         about = {
             "command": f"forefield train predictor --tracks {' '.join(f.name for f in files)} --networks {networks} "
             f"--hidden {hidden} --steps {steps} --seed {seed} --stride {stride} --recorded-share {recorded_share} "
-            f"--shrink {shrink[0]} {shrink[1]}{''.join(f' --hold-out {s}' for s in hold_out or ())} --out DIR",
+            f"--shrink {shrink[0]} {shrink[1]}{''.join(f' --hold-out {s}' for s in hold_out or ())}"
+            f"{' --note ' + shlex.quote(note) if note else ''} --out DIR",
+            "note": note,
             "tables": training.digests(files),
         }
 

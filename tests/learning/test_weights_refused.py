@@ -155,6 +155,8 @@ def test_a_spread_that_is_none_is_refused(folder, spread):
 def test_the_shipped_weights_are_small_whole_and_of_open_data():
     card = read_card(SHIPPED)
     for name in card["networks"]:
-        load(SHIPPED, name)
+        spread = load(SHIPPED, name).spread
+        assert spread is not None and (np.diff(spread) > 0).all()
     assert sum(f.stat().st_size for f in SHIPPED.iterdir()) <= 2 * 2**20
+    assert set(card["tables"]) == {"ngsim_lankershim.csv.gz", "ngsim_us101.csv.gz", "traffic.csv.gz"}
     assert not any("sind" in s or "av2" in s or "nuscenes" in s for s in card["data"]["recorded_sites"])
