@@ -70,7 +70,7 @@ def _field(ax: Any, then: FieldThen, here: Any, turn: float) -> Any:
         then.m.T,
         origin="lower",
         extent=(0.0, g.rows * g.h, 0.0, g.columns * g.h),
-        cmap=risk_colours().with_extremes(bad=OFF_ROAD),
+        cmap=risk_colours(),
         vmin=0.0,
         vmax=RISK_TOP,
         interpolation="bilinear",
@@ -80,6 +80,14 @@ def _field(ax: Any, then: FieldThen, here: Any, turn: float) -> Any:
 
 
 def _road(ax: Any, drive: Run, here: Any) -> None:
+    """Lane lines; what lies off the road is covered: there the field stays at the peak of the edge."""
+    outline = (
+        [line for lane in drive.scenario.map.lanes for line in (lane.left, lane.right)] if drive.scenario.map else []
+    )
+    if outline:
+        y = np.concatenate([here(line)[:, 1] for line in outline])
+        for low, high in ((float(y.max()), LEFT_M + 1.0), (-RIGHT_M - 1.0, float(y.min()))):
+            ax.axhspan(low, high, color=OFF_ROAD, lw=0, zorder=2)
     for lane in drive.scenario.map.lanes if drive.scenario.map is not None else []:
         for points, kind in ((lane.left, lane.left_type), (lane.right, lane.right_type)):
             if kind == "virtual":

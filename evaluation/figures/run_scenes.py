@@ -6,12 +6,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
-from common import config
 from common.geometry import Polyline
-from common.messages import BLOCK, F64, Ego, Grid, Objects, Plan, Risk
-from common.risk import RiskParameters
+from common.messages import F64, Ego, Grid, Objects, Plan, Risk
 from evaluation.closed_loop import Cores, drive
 from rig import configuration
 from rig.sources import Scenario, load_scenario
@@ -23,7 +20,7 @@ class FieldThen:
 
     capture_ns: int
     grid: Grid
-    m: F64  # [row, column] [E_max]; NaN off the road
+    m: F64  # [row, column] [E_max]
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,7 @@ def run(name: str) -> Run:
     scenario = load_scenario(name, seed=0)
     made = Run(scenario)
     cores = Cores.of(tree)
-    tap = _Tap(cores.riskfield, config.section(tree, "risk", RiskParameters).barrier_peak)
+    tap = _Tap(cores.riskfield)
 
     def watch(t: float, ego: Ego, objects: Objects, plan: Plan | None) -> None:
         if abs(t * 10 - round(t * 10)) < 1e-6:
@@ -95,27 +92,15 @@ def run(name: str) -> Run:
     return made
 
 
-def plateau(risk: Risk, peak: float) -> npt.NDArray[np.bool_]:
-    """Cells of the first slice off the road: there the field stays at the peak of its edge, [rows, columns]."""
-    still = np.array([slot.term == "static" for slot in risk.slots] + [False] * (256 - len(risk.slots)))
-    wide = np.repeat(np.repeat(still[risk.dominant[0]], BLOCK, axis=0), BLOCK, axis=1)
-    m = np.asarray(risk.volume[0], dtype=np.float64)
-    off: npt.NDArray[np.bool_] = wide[: m.shape[0], : m.shape[1]] & (m >= 0.99 * peak)
-    return off
-
-
 @dataclass
 class _Tap:
     """The riskfield, its latest first slice kept."""
 
     inner: Any
-    peak: float
-    """Of a barrier, in the volume's own units."""
     latest: FieldThen | None = None
 
     def step(self, prediction: Any, ego: Any, map: Any, closures: Any, t_offset: float) -> Risk:
         risk: Risk = self.inner.step(prediction, ego, map, closures, t_offset)
         m = np.asarray(risk.volume[0], dtype=np.float64) / risk.e_max
-        m[plateau(risk, self.peak)] = np.nan
         self.latest = FieldThen(prediction.capture_ns, risk.grid, m)
         return risk
