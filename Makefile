@@ -9,7 +9,7 @@ PYTEST_ARGS ?=
 TORCH_INDEX ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow test-docker check audit sbom format clean
+.PHONY: help setup demo test test-slow test-docker reference-drive check audit sbom format clean
 
 help: ## Show what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | column -t -s "$$(printf '\t')"
@@ -37,6 +37,9 @@ test-slow: $(STAMP) ## Run the long checks
 
 test-docker: $(STAMP) ## Build and run the images on a real Docker engine
 	@$(BIN)/python -m pytest -m docker --timeout 1800 $(PYTEST_ARGS)
+
+reference-drive: $(STAMP) ## Renew the recorded drive that the tests repeat (tests/replay)
+	@$(BIN)/python -m rig.bus_log.reference tests/replay/reference_drive.mcap
 
 check: $(STAMP) ## Lint, format, types, import contracts
 	@$(BIN)/ruff check .

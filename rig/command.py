@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import sys
 
-EXTRAS = {"typer": "rig", "rich": "rig", "commonroad": "rig", "torch": "predictor", "warp": "riskfield", "rerun": "viz"}
+EXTRAS = {
+    "typer": "rig",
+    "rich": "rig",
+    "commonroad": "rig",
+    "mcap": "rig",
+    "torch": "predictor",
+    "warp": "riskfield",
+    "rerun": "viz",
+}
 
 
 def main() -> None:

@@ -58,7 +58,7 @@ def play(
     """
     with running(tree, services_for(tree), attach=options.attach, logs=options.logs) as (tree, crew):
         while True:
-            up = _drive(scenario, tree, options, crew, show, done)
+            up = drive_once(scenario, tree, options, crew, show, done)
             if not options.loop or (crew is not None and not up):  # our own services do not come back by themselves
                 return
 
@@ -100,7 +100,7 @@ def running(
             yield tree, crew
 
 
-def _drive(
+def drive_once(
     scenario: Scenario,
     tree: Tree,
     options: Options,
