@@ -106,6 +106,7 @@ def eval_planning(
             seed=seed,
             console=Console(stderr=True),
             command=shlex.join(["forefield", *sys.argv[1:]]),
+            keep=lambda result: write(json_, result) if json_ is not None else None,
         )
         if json_ is not None:
             write(json_, result)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Protocol
@@ -24,6 +24,8 @@ from evaluation.planning.traffic import Kind
 from evaluation.sumo_networks import TrafficError
 from rig.settings import RigSettings
 
+KEEP_EVERY_S = 30.0
+"""A long run writes down what it has as often as this."""
 TELL_EVERY_S = 20.0
 """Where there is no terminal, a line as often as this."""
 
@@ -50,8 +52,9 @@ def run(
     seed: int = 0,
     console: Console | None = None,
     command: str = "",
+    keep: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
-    """Drive everything and return the result as JSON wants it.
+    """Drive everything and return the result as JSON wants it; `keep` gets what there is so far now and then.
 
     Raises:
         ConfigError: what is asked for cannot be: unknown planners, a folder without scenarios, no cluster.
@@ -81,7 +84,16 @@ def run(
     if not worlds:
         raise ConfigError(f"none of the {len(not_loaded)} scenarios can be loaded")
     tasks = [Task(w.choice.name, w.choice.family, w.scenario, tuple(planners), tree, w.traffic) for w in worlds]
-    found: list[dict[str, dict[str, Any]]] = [{} for _ in tasks]
+    found: dict[int, dict[str, dict[str, Any]]] = {}
+
+    def result() -> dict[str, Any]:
+        scenarios: dict[str, Entries] = {p: {} for p in planners}
+        for i in sorted(found):
+            for planner, entry in found[i].items():
+                scenarios[planner][tasks[i].name] = entry
+        return _result(command, seed, not_loaded, scenarios, began)
+
+    kept = began
     with _progress(console, len(tasks)) as tell:
         for i, outcome in outcomes(tasks, jobs=jobs, cluster=cluster):
             found[i] = outcome
@@ -92,11 +104,10 @@ def run(
                         f"{tasks[i].name} ({planner}): {wrong}", highlight=False, markup=False, soft_wrap=True
                     )
             tell(tasks[i].name)
-    scenarios = {p: {} for p in planners}
-    for task, outcome in zip(tasks, found, strict=True):
-        for planner, entry in outcome.items():
-            scenarios[planner][task.name] = entry
-    return _result(command, seed, not_loaded, scenarios, began)
+            if time.monotonic() - kept >= KEEP_EVERY_S:
+                kept = time.monotonic()
+                keep(result())
+    return result()
 
 
 Entries = dict[str, dict[str, Any]]

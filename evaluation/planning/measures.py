@@ -65,6 +65,7 @@ def measured(scenario: Scenario, result: DriveResult, record: Recorder, yard: Ya
         "yardstick": yard.who,
         "compared_m": round(record.distance(end), 2),
         "yardstick_m": round(yard.distance(end), 2),
+        "comfortable_m": None if yard.comfortable is None else round(yard.comfortable(end), 2),
         "max_accel_lon": _peak(felt.acceleration[~urgent]),
         "max_accel_lat": _peak(felt.lateral[~urgent]),
         "p95_accel_lon": _p95(felt.acceleration[~urgent]),
@@ -130,9 +131,9 @@ def poisson_bound(events: int, km: float) -> float:
     return low / km * 1000.0 if km > 0 else math.inf
 
 
-def pooled_efficiency(entries: list[dict[str, Any]], who: str = "") -> float | None:
-    """Distance driven as a share of the others' in the same time, pooled over distance."""
-    kept = [e for e in entries if e["yardstick_m"] > 1.0 and (not who or e["yardstick"] == who)]
-    there = sum(e["yardstick_m"] for e in kept)
+def pooled_efficiency(entries: list[dict[str, Any]], who: str = "", of: str = "yardstick_m") -> float | None:
+    """Distance driven as a share of the others' in the same time, pooled over distance; `of` is their entry."""
+    kept = [e for e in entries if (e[of] or 0.0) > 1.0 and (not who or e["yardstick"] == who)]
+    there = sum(e[of] for e in kept)
     share = sum(e["compared_m"] for e in kept) / there if there > 0 else math.nan
     return None if math.isnan(share) else round(share, 3)

@@ -121,6 +121,7 @@ class Reactive:
         tracks = [k for k in scenario.tracks if k.last >= 1]
         self._users = [_User.of(k) for k in tracks]
         self._lanes = _lanes(scenario)
+        self._centres = {lane.id: centre for lane, centre in self._lanes}
         self._frame = 0
         for u in self._users:
             u.row = float(max(-u.track.frame0, 0))
@@ -381,7 +382,8 @@ class Reactive:
             other = lane.left_neighbour if side > 0 else lane.right_neighbour
             same = lane.left_same_direction if side > 0 else lane.right_same_direction
             if other is not None and same:
-                return 3.5
+                beside = self._centres.get(other)
+                return None if beside is None else abs(float(beside.project(np.array([x, y]))[1]))
         return None
 
 

@@ -31,6 +31,7 @@ def summary(entries: Entries) -> dict[str, Any]:
         "off_road": sum(bool(e["off_road"]) for e in on_map),
         "efficiency": pooled_efficiency(good),
         "efficiency_human": pooled_efficiency(good, "human"),
+        "efficiency_comfortable_human": pooled_efficiency(good, "human", "comfortable_m"),
         "efficiency_sumo": pooled_efficiency(good, "sumo"),
         "efficiency_idm": pooled_efficiency(good, "idm"),
         "criteria_passed": sum(e["criterion"] == "" for e in judged),
@@ -153,6 +154,7 @@ HEAD = {
     "goal_rate": "goal",
     "off_road": "off road",
     "efficiency_human": "of the human's way",
+    "efficiency_comfortable_human": "of the human's, in comfort",
     "efficiency_idm": "of the IDM's way",
     "efficiency_sumo": "of SUMO's way",
     "max_accel_lon": "peak a_lon",
@@ -164,7 +166,14 @@ HEAD = {
     "driven_km": "km",
     "at_fault_per_1000_km_bound": "at fault per 1000 km, at most (95 %)",
 }
-SHARES = ("goal_rate", "efficiency_human", "efficiency_idm", "efficiency_sumo", "emergency_share")
+SHARES = (
+    "goal_rate",
+    "efficiency_human",
+    "efficiency_comfortable_human",
+    "efficiency_idm",
+    "efficiency_sumo",
+    "emergency_share",
+)
 
 
 def markdown(result: dict[str, Any]) -> str:

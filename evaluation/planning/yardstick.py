@@ -8,9 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.geometry import Polyline
-from common.messages import FRAME_S
+from common.messages import F64, FRAME_S
 from evaluation.planning.recorder import Recorder
+from rig.sources.motion import fair
 from rig.world import Scenario
+
+ACCEL, BRAKE, LATERAL = 1.07, 1.5, 0.92
+"""What the planner allows itself in comfort [m/s²]."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +24,8 @@ class Yardstick:
     who: str  # human, idm
     end_s: float
     distance: Callable[[float], float]
+    comfortable: Callable[[float], float] | None = None
+    """The same path and wishes under our comfort limits; None: not known."""
 
 
 def yardstick(scenario: Scenario, idm: Callable[[], Recorder]) -> Yardstick:
@@ -33,7 +39,13 @@ def yardstick(scenario: Scenario, idm: Callable[[], Recorder]) -> Yardstick:
         p = np.stack((human.x[first:], human.y[first:]), axis=-1)
         s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(p, axis=0).T))))
         times = np.arange(len(s)) * FRAME_S
-        return Yardstick("human", float(times[-1]), lambda t: float(np.interp(t, times, s)))
+        slower = comfortably(p, s)
+        return Yardstick(
+            "human",
+            float(times[-1]),
+            lambda t: float(np.interp(t, times, s)),
+            lambda t: float(np.interp(t, slower[0], slower[1])),
+        )
     if scenario.human_goal_s is not None:
         line = Polyline.of(scenario.route.reference)
         at = line.project(
@@ -44,3 +56,30 @@ def yardstick(scenario: Scenario, idm: Callable[[], Recorder]) -> Yardstick:
         return Yardstick("human", end, lambda t: v * t + (far - v * end) * (t / end) ** 2)
     record = idm()
     return Yardstick("idm", record.t[-1] if record.t else 0.0, record.distance)
+
+
+def comfortably(p: F64, s: F64) -> tuple[F64, F64]:
+    """Times [s] and distances [m] of one who drives the path `p` [n, 2], one row a frame, at arc lengths `s` [m].
+
+    Never faster than recorded at any place, nor than `LATERAL` allows on the smoothed path; speeding up with at most
+    `ACCEL`, slowing down with at most `BRAKE`. Where the record stands, it waits as long.
+    """
+    grid: F64 = np.arange(0.0, float(s[-1]), 0.5, dtype=np.float64)
+    if len(grid) < 3:
+        return np.arange(len(s), dtype=np.float64) * FRAME_S, s
+    recorded = np.gradient(s) / FRAME_S
+    moving = np.concatenate(([True], np.diff(s) > 1e-3))
+    at = s[moving]
+    v = np.maximum(np.interp(grid, at, recorded[moving]), 0.3)
+    line = fair(p[moving]) if moving.sum() > 2 else p
+    curve = Polyline.of(line)
+    heading = np.unwrap(np.arctan2(*(curve.at(grid + 1.0) - curve.at(grid - 1.0)).T[::-1]))
+    kappa = np.abs(np.gradient(heading, 0.5))
+    v = np.minimum(v, np.sqrt(LATERAL / np.maximum(kappa, 1e-4)))
+    for i in range(1, len(v)):
+        v[i] = min(v[i], np.sqrt(v[i - 1] ** 2 + 2 * ACCEL * 0.5))
+    for i in range(len(v) - 2, -1, -1):
+        v[i] = min(v[i], np.sqrt(v[i + 1] ** 2 + 2 * BRAKE * 0.5))
+    waits = np.interp(grid, at, np.cumsum(~moving)[moving] * FRAME_S)
+    times = np.concatenate(([0.0], np.cumsum(0.5 / (0.5 * (v[1:] + v[:-1]))))) + waits
+    return np.asarray(times, dtype=np.float64), grid
