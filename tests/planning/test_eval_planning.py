@@ -124,7 +124,7 @@ def test_drives_that_failed_inside_are_counted_and_shown():
     ("arguments", "said"),
     [
         (["--planner", "nobody"], "there are default"),
-        (["--variants", "3", "straight"], "leave --scenarios out"),
+        (["--variants", "3", "straight"], "one of them at a time"),
         (["nowhere"], "none of the 1"),
         (["--predictor", "nobody", "straight"], "policy"),
         (["--jobs", "2", "--cluster", "tcp://127.0.0.1:1", "straight"], "one of them"),
