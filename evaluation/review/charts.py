@@ -122,7 +122,8 @@ def _speed(ax: Any, recording: Recording, drive: Drive) -> None:
     plans = [p for p in recording.plans if p.t >= drive.began]
     desired = np.array([p.said.desired_speed if p.said.mode == "drive" else 0.0 for p in plans])
     if len(plans):
-        ax.plot(*thin(np.array([p.t for p in plans]) - drive.began, desired), color=ACCENT, lw=0.9, label="desired")
+        at = np.array([p.received for p in plans]) - drive.began
+        ax.step(*thin(at, desired), where="post", color=ACCENT, lw=0.9, label="desired")
     ax.plot(*thin(states.t, states.speed), color=EGO, lw=1.6, label="driven")
     ax.set_ylim(bottom=min(0.0, float(np.min(states.speed, initial=0.0))))
     top = ax.get_ylim()[1]
@@ -259,7 +260,7 @@ def drive_map(recording: Recording, drive: Drive) -> Figure:
     upright = tall > wide  # a drive to the north is shown lying, so that the page stays short
     width, height = (tall, wide) if upright else (wide, tall)
     ratio = (height + 2 * margin) / (width + 2 * margin)
-    fig = Figure(figsize=(7.4, float(np.clip(5.7 * ratio + 0.75, 1.9, 6.5))), layout="constrained")
+    fig = Figure(figsize=(7.4, float(np.clip(5.7 * ratio + 0.75, 1.9, 4.3))), layout="constrained")
     ax = fig.subplots()
 
     def here(px: Any, py: Any) -> tuple[Any, Any]:

@@ -80,6 +80,8 @@ def table(found: dict[str, Any]) -> Table:
     if s["min_clearance_at"] is not None:
         near = f"{s['min_clearance_m']:.2f} m to {s['min_clearance_at']['id']} at {s['min_clearance_at']['t']:.1f} s"
     out.add_row("closest", near)
+    for c in s["contacts"]:
+        out.add_row("contact", f"[red]with {c['id']} at {c['t']:.1f} s[/]")
     for n, i in enumerate(found["interventions"]):
         change = f"{i['t']:.1f} s: {i['kind']} {i['speed_from']:.1f} → {i['speed_to']:.1f} m/s"
         out.add_row("" if n else "slowed", f"{change}: {escape(i['sentence'])}")

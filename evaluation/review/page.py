@@ -126,7 +126,8 @@ def _card(
 ) -> Card:
     pose = pose_at(drive.states, moment.t - drive.began)
     decision = None if chosen.plan is None else chosen.plan.said.decision
-    mark = "" if decision is None else brief(decision)
+    drives = chosen.plan is not None and chosen.plan.said.mode == "drive"
+    mark = brief(decision) if decision is not None and drives else ""
     slice_s = 0.0 if decision is None or decision.slice_s is None else decision.slice_s
     fig = pictures.picture(recording, moment, pose, _seen(recording, moment.t), mark, slice_s)
     where = ""

@@ -184,7 +184,7 @@ def picture(
         decided: who decided and how high the risk is, in a few words; empty: nothing on the road did.
         slice_s: when the slice that decided begins, from now [s].
     """
-    both = moment.slice is not None and moment.slice.levels.size > 0
+    both = bool(decided) and moment.slice is not None and moment.slice.levels.size > 0
     window = _window(recording, moment, pose)
     tall = (WIDTH_IN - 1.5) * (window.high - window.low) / (window.ahead + BEHIND_M) + 0.35
     fig = Figure(figsize=(WIDTH_IN, (2 if both else 1) * tall + 0.4), layout="constrained")

@@ -68,6 +68,7 @@ def _summary(recording: Recording, drive: Drive, bounds: Bounds) -> dict[str, An
         "min_clearance_at": None
         if near is None
         else {"t": round(float(clearance.t[near]), 2), "id": int(clearance.id[near])},
+        "contacts": _contacts(drive),
         "highest_risk": round(float(np.nanmax(risk)), 3) if np.any(np.isfinite(risk)) else None,
         "frames": {
             "ego": len(drive.states.t),
@@ -76,6 +77,15 @@ def _summary(recording: Recording, drive: Drive, bounds: Bounds) -> dict[str, An
             "plan": sum(plan.t >= drive.began for plan in recording.plans),
         },
     }
+
+
+def _contacts(drive: Drive) -> list[dict[str, Any]]:
+    """First contact with each road user that was ever the nearest and touched."""
+    first: dict[int, float] = {}
+    for t, distance, identity in zip(drive.clearance.t, drive.clearance.distance, drive.clearance.id, strict=True):
+        if distance <= 0.0:
+            first.setdefault(int(identity), float(t))
+    return [{"t": round(t, 2), "id": identity} for identity, t in first.items()]
 
 
 def _beyond(drive: Drive, bounds: Bounds) -> dict[str, float]:
