@@ -53,6 +53,7 @@ def frame(ax: Any, drive: Run, step: Step, low: float, high: float, trail: int) 
     ax.set_xlim(low, high)
     ax.set_ylim(-RIGHT_M, LEFT_M)
     ax.set_aspect("equal")
+    ax.set_yticks([-2, 0, 2, 4, 6])
     metres(ax)
     road_axes(ax)
     return image
