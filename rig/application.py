@@ -24,6 +24,7 @@ from rig import (
     field_commands,
     hazard_commands,
     health_table,
+    planner_commands,
     planning_commands,
     prediction_commands,
     recording_commands,
@@ -50,6 +51,7 @@ hazard_commands.register(app)
 field_commands.register(bench)
 review_commands.register(app)
 planning_commands.register(app)
+planner_commands.register(bench)
 certificate_commands.register(app)
 recording_commands.register(app)
 

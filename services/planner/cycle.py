@@ -228,7 +228,7 @@ def _footprint(scene: Scene, settings: PlannerSettings) -> Footprint:
     behind = settings.gap_behind + settings.headway_behind * start.speed
     footprint = Footprint.of(scene.ego, settings.footprint_spacing, settings.flank_margin, behind)
     x, y = footprint.at(np.array([start.x]), np.array([start.y]), np.array([start.heading]))
-    now = scene.volume.sample(x, y)[0][0, 0].astype(np.float64)
+    now = scene.volume.sample_at(x, y, np.zeros(1, dtype=np.intp))[0].astype(np.float64)
     beside = footprint.margin > 0.0
     worst = float(np.max(now, initial=0.0, where=beside)) + 0.05 - settings.r_hit
     return replace(footprint, margin=np.where(beside, np.maximum(footprint.margin, worst), 0.0))

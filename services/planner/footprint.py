@@ -123,11 +123,22 @@ def path_risk(
 
 
 def timed_risk(volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, t: F64) -> tuple[F64, Bools]:
-    """The maximum ahead at poses of the rear axle [m] at plan times t [m] [s], and whether all of it is known."""
-    look_up = _fastest(footprint)
-    none = np.zeros(1, dtype=bool)
-    _, _, whole, four, _ = look_up(volume, footprint, none, (1.0, 1.0), x[None], y[None], heading[None], 0)
-    return four[1, 0, volume.slice_at(t), np.arange(len(x))].astype(np.float64), whole[0]
+    """The maximum ahead at poses of the rear axle [..., m] at plan times t [m] [s], and whether all of it is known."""
+    at = tuple(np.atleast_2d(q) for q in (x, y, heading))
+    slices = volume.slice_at(t)
+    if kernels is None or len(footprint.x) > kernels.MOST_SAMPLES:
+        fx, fy = footprint.at(*at)
+        values = np.stack([volume.sample_at(fx[k], fy[k], slices) for k in range(len(fx))])
+        risk = np.maximum(values - footprint.ahead.astype(np.float32), np.float32(0.0)).max(axis=-1)
+        whole = volume.known(fx, fy)[..., : footprint.outline].all(axis=-1)
+    else:
+        none = np.zeros(len(at[0]), dtype=np.uint8)
+        outline = (footprint.x, footprint.y)
+        _, _, whole, four, _ = kernels.look_up(
+            volume, outline, footprint.taken, footprint.outline, (1e9, 1e9), none, *at, 0, slices
+        )
+        risk = four[1, :, 0]
+    return risk.astype(np.float64).reshape(np.shape(x)), np.asarray(whole, dtype=bool).reshape(np.shape(x))
 
 
 def _fastest(footprint: Footprint) -> Callable[..., _Looked]:

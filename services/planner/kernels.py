@@ -24,6 +24,8 @@ U8 = npt.NDArray[np.uint8]
 I32 = npt.NDArray[np.int32]
 Integers = npt.NDArray[np.integer[Any]]
 
+_CHUNK = 16
+"""So many points of a path are looked up at a time: CHUNK in the kernel."""
 MOST_SAMPLES = 128
 """So many samples of the outline are looked up at most."""
 
@@ -43,9 +45,11 @@ class LookUp:
     block_columns: int
     block_plane: int
     samples: int
+    padded: int  # the next multiple of 8
     groups: int
     later: int  # the last slice of `stays`, counted from `first`
     half: int  # 1: the volume is float16
+    timed: int  # 1: each point in one slice only
     paths: int
     points: int
     r_hit: float  # from here on the source of a contact is looked up
@@ -57,12 +61,13 @@ class LookUp:
     y: wp.uint64
     cos: wp.uint64  # of the heading in the grid, per cell of h
     sin: wp.uint64
-    outline_x: wp.uint64  # double [samples]: of the outline, frame of the rear axle [m]
+    outline_x: wp.uint64  # double [padded]: of the outline, frame of the rear axle [m]
     outline_y: wp.uint64
     begin: wp.uint64  # int [groups + 1]: of each group's samples
-    outline: wp.uint64  # uint8 [samples]: whether it is of the outline, which must be known
-    taken: wp.uint64  # float [2, 5, groups]: off each group for the four and `risk`; the second where the path leaves
+    outline: wp.uint64  # uint8 [padded]: whether it is of the outline, which must be known
+    taken: wp.uint64  # float [2, groups, 8]: off each group for the four and `risk`; the second where the path leaves
     leaves: wp.uint64  # uint8 [n]
+    slice_of: wp.uint64  # int [points], if timed
     risk: wp.uint64  # float [n, slices, points]
     stays: wp.uint64  # float [n, points]
     whole: wp.uint64  # uint8 [n, points]
@@ -71,127 +76,132 @@ class LookUp:
 
 
 _LOOK_UP = """
-    const int CHUNK = 32;
-    int cell[32 * 128];
-    float weight[32 * 128 * 4], least[32 * 128];
+    typedef float v8f __attribute__((vector_size(32)));
+    typedef unsigned int v8u __attribute__((vector_size(32)));
+    const int CHUNK = 16, K = p.padded;  // samples are padded to whole vectors with weights of 0
+    const int path = task % p.paths, from = task / p.paths * CHUNK;  // chunk by chunk: paths share what they read
+    int cell[16 * 128];
+    alignas(32) float w00[16 * 128], w01[16 * 128], w10[16 * 128], w11[16 * 128], least[16 * 128];
     const long long plane = (long long)p.rows * p.columns;
     const double* px = (const double*)p.x; const double* py = (const double*)p.y;
     const double* cosine = (const double*)p.cos; const double* sine = (const double*)p.sin;
     const double* outline_x = (const double*)p.outline_x; const double* outline_y = (const double*)p.outline_y;
-    const int* begin = (const int*)p.begin;
+    const int* begin = (const int*)p.begin; const int* slice_of = (const int*)p.slice_of;
     const unsigned char* outline = (const unsigned char*)p.outline;
-    const float* taken = (const float*)p.taken + (((const unsigned char*)p.leaves)[path] ? 5 * p.groups : 0);
+    const float* taken = (const float*)p.taken + (((const unsigned char*)p.leaves)[path] ? 8 * p.groups : 0);
     const unsigned char* dominant = (const unsigned char*)p.dominant + (long long)p.first * p.block_plane;
     const unsigned char* who_of = (const unsigned char*)p.who_of;
-    const long long all = (long long)p.paths * p.slices * p.points;
-    const float scale = 5.192296858534828e33f;
-    for (int from = 0; from < p.points; from += CHUNK) {
-        const int n = p.points - from < CHUNK ? p.points - from : CHUNK;
-        for (int q = 0; q < n; ++q) {
-            const long long task = (long long)path * p.points + from + q;
-            bool whole = true;
-            for (int k = 0; k < p.samples; ++k) {
-                const int at = q * p.samples + k;
-                double fi = px[task] + cosine[task] * outline_x[k] - sine[task] * outline_y[k];
-                double fj = py[task] + sine[task] * outline_x[k] + cosine[task] * outline_y[k];
-                if (!(fi >= 0.0 && fi <= p.rows && fj >= 0.0 && fj <= p.columns)) {
-                    whole = whole && !outline[k]; cell[at] = 0;
-                    for (int c = 0; c < 4; ++c) weight[4 * at + c] = 0.0f;
-                    continue;
-                }
-                fi -= 0.5; fj -= 0.5;
-                fi = fi < 0.0 ? 0.0 : (fi > p.rows - 1.0 ? p.rows - 1.0 : fi);
-                fj = fj < 0.0 ? 0.0 : (fj > p.columns - 1.0 ? p.columns - 1.0 : fj);
-                int i = (int)fi, j = (int)fj;
-                i = i > p.rows - 2 ? p.rows - 2 : i; j = j > p.columns - 2 ? p.columns - 2 : j;
-                const float wi = (float)(fi - i), wj = (float)(fj - j);
-                cell[at] = i * p.columns + j;
-                weight[4 * at] = (1.0f - wi) * (1.0f - wj); weight[4 * at + 1] = (1.0f - wi) * wj;
-                weight[4 * at + 2] = wi * (1.0f - wj); weight[4 * at + 3] = wi * wj;
-            }
-            ((unsigned char*)p.whole)[task] = whole ? 1 : 0;
+    const int kept = p.timed ? 1 : p.slices;
+    const long long all = (long long)p.paths * kept * p.points;
+    // float16: every value is >= 0 and finite: its bits, moved, are the value / 2^112
+    const float scale = p.half ? 5.192296858534828e33f : 1.0f;
+    const int n = p.points - from < CHUNK ? p.points - from : CHUNK;
+    for (int q = 0; q < n; ++q) {
+        const long long point = (long long)path * p.points + from + q;
+        const double x = px[point], y = py[point], co = cosine[point], si = sine[point];
+        const double rows = p.rows, columns = p.columns;
+        int missing = 0;
+        for (int k = 0; k < K; ++k) {
+            const int at = q * K + k;
+            const double fi = x + co * outline_x[k] - si * outline_y[k];
+            const double fj = y + si * outline_x[k] + co * outline_y[k];
+            const bool in = (fi >= 0.0) & (fi <= rows) & (fj >= 0.0) & (fj <= columns);
+            missing += !in & outline[k];
+            double gi = fi - 0.5, gj = fj - 0.5;
+            gi = gi > 0.0 ? gi : 0.0; gi = gi < rows - 1.0 ? gi : rows - 1.0;
+            gj = gj > 0.0 ? gj : 0.0; gj = gj < columns - 1.0 ? gj : columns - 1.0;
+            int i = (int)gi, j = (int)gj;
+            i = i < p.rows - 2 ? i : p.rows - 2; j = j < p.columns - 2 ? j : p.columns - 2;
+            const float wi = (float)(gi - i), wj = (float)(gj - j);
+            const float part = in & (k < p.samples) ? scale : 0.0f;
+            cell[at] = i * p.columns + j;
+            w00[at] = part * (1.0f - wi) * (1.0f - wj); w01[at] = part * (1.0f - wi) * wj;
+            w10[at] = part * wi * (1.0f - wj); w11[at] = part * wi * wj;
+            least[at] = 3e38f;
         }
-        for (int at = 0; at < n * p.samples; ++at) least[at] = 3e38f;
-        for (int j = 0; j < p.slices; ++j) {
-            const unsigned short* volume16 = (const unsigned short*)p.volume + (p.first + j) * plane;
-            const float* volume32 = (const float*)p.volume + (p.first + j) * plane;
-            for (int q = 0; q < n; ++q) {
-                float value[128], most[4] = {0.0f, 0.0f, 0.0f, 0.0f}, top = 0.0f;
-                int of[4] = {-1, -1, -1, -1};
-                const int base = q * p.samples;
+        ((unsigned char*)p.whole)[point] = missing == 0;
+    }
+    for (int j = 0; j < p.slices; ++j) {
+        const unsigned short* volume16 = (const unsigned short*)p.volume + (p.first + j) * plane;
+        const float* volume32 = (const float*)p.volume + (p.first + j) * plane;
+        for (int q = 0; q < n; ++q) {
+            if (p.timed && slice_of[from + q] != j) continue;
+            alignas(32) float value[128];
+            float high[128];
+            for (int k = q * K; k < (q + 1) * K; k += 8) {
+                v8f a, b, c, d;
                 if (p.half) {
-                    for (int k = 0; k < p.samples; ++k) {
-                        const unsigned short* m = volume16 + cell[base + k];
-                        const float* w = weight + 4 * (base + k);
-                        // every value is >= 0 and finite: the bits of float16, moved, times 2^112
-                        union { unsigned int i; float f; } q0, q1, q2, q3;
-                        q0.i = (unsigned int)m[0] << 13; q1.i = (unsigned int)m[1] << 13;
-                        q2.i = (unsigned int)m[p.columns] << 13; q3.i = (unsigned int)m[p.columns + 1] << 13;
-                        value[k] = q0.f * scale * w[0] + q1.f * scale * w[1] + q2.f * scale * w[2]
-                            + q3.f * scale * w[3];
+                    v8u near, far;  // two neighbours of a row at once
+                    for (int l = 0; l < 8; ++l) {
+                        unsigned int two;
+                        __builtin_memcpy(&two, volume16 + cell[k + l], 4); near[l] = two;
+                        __builtin_memcpy(&two, volume16 + cell[k + l] + p.columns, 4); far[l] = two;
                     }
+                    a = (v8f)((near & 0xffffu) << 13); b = (v8f)(near >> 16 << 13);
+                    c = (v8f)((far & 0xffffu) << 13); d = (v8f)(far >> 16 << 13);
                 } else {
-                    for (int k = 0; k < p.samples; ++k) {
-                        const float* m = volume32 + cell[base + k];
-                        const float* w = weight + 4 * (base + k);
-                        value[k] = m[0] * w[0] + m[1] * w[1] + m[p.columns] * w[2] + m[p.columns + 1] * w[3];
+                    for (int l = 0; l < 8; ++l) {
+                        const float* m = volume32 + cell[k + l];
+                        a[l] = m[0]; b[l] = m[1]; c[l] = m[p.columns]; d[l] = m[p.columns + 1];
                     }
                 }
-                if (j <= p.later)
-                    for (int k = 0; k < p.samples; ++k)
-                        least[base + k] = value[k] < least[base + k] ? value[k] : least[base + k];
-                for (int g = 0; g < p.groups; ++g) {
-                    float high = 0.0f;
-                    for (int k = begin[g]; k < begin[g + 1]; ++k) high = value[k] > high ? value[k] : high;
-                    const float all_of = high - taken[4 * p.groups + g];
-                    top = all_of > top ? all_of : top;
-                    for (int w = 0; w < 4; ++w) {
-                        const float left = high - taken[w * p.groups + g];
-                        if (left > most[w]) { most[w] = left; of[w] = g; }
-                    }
+                const v8f v = a * *(v8f*)(w00 + k) + b * *(v8f*)(w01 + k) + c * *(v8f*)(w10 + k)
+                    + d * *(v8f*)(w11 + k);
+                *(v8f*)(value + k - q * K) = v;
+                if (j <= p.later) *(v8f*)(least + k) = __builtin_elementwise_min(v, *(v8f*)(least + k));
+            }
+            v8f most = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+            for (int g = 0; g < p.groups; ++g) {
+                float h = 0.0f;
+                for (int k = begin[g]; k < begin[g + 1]; ++k) h = value[k] > h ? value[k] : h;
+                high[g] = h;
+                v8f off;
+                __builtin_memcpy(&off, taken + 8 * g, 32);
+                most = __builtin_elementwise_max(h - off, most);
+            }
+            const long long out = ((long long)path * kept + (p.timed ? 0 : j)) * p.points + from + q;
+            ((float*)p.risk)[out] = most[4];
+            for (int w = 0; w < 4; ++w) {
+                ((float*)p.four)[w * all + out] = most[w];
+                int name = 255;
+                if (most[w] >= (w < 2 ? p.r_hit : p.r0)) {  // whose it is: the block of the sample that met it
+                    int g = 0;
+                    while (g + 1 < p.groups && high[g] - taken[8 * g + w] < most[w]) ++g;
+                    int best = begin[g];
+                    for (int k = best; k < begin[g + 1]; ++k) best = value[k] > value[best] ? k : best;
+                    const long long point = (long long)path * p.points + from + q;
+                    const double fi = px[point] + cosine[point] * outline_x[best] - sine[point] * outline_y[best];
+                    const double fj = py[point] + sine[point] * outline_x[best] + cosine[point] * outline_y[best];
+                    const int i = (int)fi < p.rows ? (int)fi : p.rows - 1;
+                    const int c = (int)fj < p.columns ? (int)fj : p.columns - 1;
+                    name = who_of[dominant[(long long)j * p.block_plane
+                        + i / p.block * p.block_columns + c / p.block]];
                 }
-                const long long out = ((long long)path * p.slices + j) * p.points + from + q;
-                ((float*)p.risk)[out] = top;
-                for (int w = 0; w < 4; ++w) {
-                    ((float*)p.four)[w * all + out] = most[w];
-                    int name = 255;
-                    if (most[w] >= (w < 2 ? p.r_hit : p.r0)) {  // whose it is: the block of the sample that met it
-                        int best = begin[of[w]];
-                        for (int k = best; k < begin[of[w] + 1]; ++k) best = value[k] > value[best] ? k : best;
-                        const long long task = (long long)path * p.points + from + q;
-                        const double fi = px[task] + cosine[task] * outline_x[best] - sine[task] * outline_y[best];
-                        const double fj = py[task] + sine[task] * outline_x[best] + cosine[task] * outline_y[best];
-                        const int i = (int)fi < p.rows ? (int)fi : p.rows - 1;
-                        const int c = (int)fj < p.columns ? (int)fj : p.columns - 1;
-                        name = who_of[dominant[(long long)j * p.block_plane
-                            + i / p.block * p.block_columns + c / p.block]];
-                    }
-                    ((unsigned char*)p.who)[w * all + out] = name;
-                }
+                ((unsigned char*)p.who)[w * all + out] = name;
             }
         }
-        for (int q = 0; q < n; ++q) {
-            float stays = 0.0f;
-            for (int g = 0; g < p.groups; ++g)
-                for (int k = begin[g]; k < begin[g + 1]; ++k) {
-                    const float left = least[q * p.samples + k] - taken[g];
-                    stays = left > stays ? left : stays;
-                }
-            ((float*)p.stays)[(long long)path * p.points + from + q] = stays;
-        }
+    }
+    for (int q = 0; q < n; ++q) {
+        float stays = 0.0f;
+        for (int g = 0; g < p.groups; ++g)
+            for (int k = begin[g]; k < begin[g + 1]; ++k) {
+                const float left = least[q * K + k] - taken[8 * g];
+                stays = left > stays ? left : stays;
+            }
+        ((float*)p.stays)[(long long)path * p.points + from + q] = stays;
     }
 """
 
 
 @wp.func_native(_LOOK_UP)
-def look_up_path(p: LookUp, path: int):  # noqa: D103
+def look_up_chunk(p: LookUp, task: int):  # noqa: D103
     ...
 
 
 @wp.kernel
 def look_up_kernel(p: LookUp):
-    """The footprint's maximum along one path, in every slice."""
-    look_up_path(p, wp.tid())
+    """The footprint's maximum along a part of one path, in every slice."""
+    look_up_chunk(p, wp.tid())
 
 
 @wp.struct
@@ -564,6 +574,7 @@ def look_up(
     y: F64,
     heading: F64,
     later: int,
+    slice_of: Integers | None = None,
 ) -> tuple[F32, F32, npt.NDArray[np.bool_], F32, U8]:
     """Risk [n, S, p], stays [n, p], whether the outline is known [n, p]; the four of `PathRisk` and of whom they are.
 
@@ -578,6 +589,7 @@ def look_up(
         y: the same.
         heading: of the body there [rad].
         later: the last slice in which something must be there to count for `stays`.
+        slice_of: the one slice in which each point is looked up [p], then S is 1; None: all.
     """
     _initialise()
     n, points = x.shape
@@ -590,7 +602,10 @@ def look_up(
     q.block, q.block_columns = BLOCK, dominant.shape[2]
     q.block_plane = dominant.shape[1] * dominant.shape[2]
     q.samples, q.later, q.paths, q.points = len(outline[0]), later, n, points
+    q.padded = -(-q.samples // 8) * 8
     q.r_hit, q.r0 = named
+    q.timed = int(slice_of is not None)
+    q.slice_of = keep.at(np.zeros(1, np.int32) if slice_of is None else slice_of, np.int32)
     m = volume.risk.volume
     q.half = int(m.dtype == np.float16)
     q.volume = keep.at(m, m.dtype)
@@ -600,16 +615,20 @@ def look_up(
     q.cos, q.sin = keep.at(np.cos(turn) / g.h, np.float64), keep.at(np.sin(turn) / g.h, np.float64)
     # samples of which the same is taken off are one group
     order, begin = _groups(taken.reshape(10, -1))
-    q.outline_x, q.outline_y = keep.at(outline[0][order], np.float64), keep.at(outline[1][order], np.float64)
-    q.outline = keep.at(order < outlined, np.uint8)
+    more = (0, q.padded - q.samples)
+    q.outline_x, q.outline_y = (keep.at(np.pad(part[order], more), np.float64) for part in outline)
+    q.outline = keep.at(np.pad(order < outlined, more), np.uint8)
     q.groups, q.begin = len(begin) - 1, keep.at(begin, np.int32)
-    q.taken, q.leaves = keep.at(taken[..., order[begin[:-1]]], np.float32), keep.at(leaves, np.uint8)
-    risk, four = np.empty((n, volume.slices, points), np.float32), np.empty((4, n, volume.slices, points), np.float32)
+    off = np.zeros((2, q.groups, 8), np.float32)
+    off[..., :5] = taken[..., order[begin[:-1]]].transpose(0, 2, 1)
+    q.taken, q.leaves = keep.at(off, np.float32), keep.at(leaves, np.uint8)
+    kept = volume.slices if slice_of is None else 1
+    risk, four = np.empty((n, kept, points), np.float32), np.empty((4, n, kept, points), np.float32)
     stays, whole = np.empty((n, points), np.float32), np.empty((n, points), np.uint8)
     who = np.empty(four.shape, np.uint8)
     q.risk, q.four = keep.at(risk, np.float32), keep.at(four, np.float32)
     q.stays, q.whole, q.who = keep.at(stays, np.float32), keep.at(whole, np.uint8), keep.at(who, np.uint8)
-    wp.launch(look_up_kernel, dim=n, inputs=[q], device="cpu")
+    wp.launch(look_up_kernel, dim=n * -(-points // _CHUNK), inputs=[q], device="cpu")
     return risk, stays, whole.view(np.bool_), four, who
 
 

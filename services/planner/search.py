@@ -184,15 +184,19 @@ def path_cost(
         leaves = (over > settings.lane_margin) & (np.abs(end) > 0.05) & ~along
         cost += np.where(leaves, _side_cost(side, lanes, at, over, settings), 0.0)
     if previous:
+        before = np.flatnonzero(np.array(paths.target) == previous)
+        near = np.abs(end - end[before[0]]) / _OTHER if len(before) else np.ones(n)
         change = np.where(name == REFERENCE, 0.0, np.where(along, 0.5, 1.0))
         if previous.startswith(_LANE):  # who has found no gap so far does not try at every moment
             change = np.where(name == REFERENCE, 0.5, change)
-        cost += np.where(name != previous, settings.change_cost * change, 0.0)
+        # to make a little more room is not to change one's mind
+        cost += np.where(name != previous, settings.change_cost * change * np.clip(near, 0.25, 1.0), 0.0)
     return np.asarray(cost)
 
 
 _LANE = "lane "
 _IN_LANE = 1.0  # m
+_OTHER = 1.6  # m; targets so far apart are quite different ones
 
 
 def track_name(index: int) -> str:

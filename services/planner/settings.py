@@ -74,7 +74,7 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     mean_offset_cost: NotNegative = 0.3  # for each metre
     end_offset_cost: NotNegative = 0.15  # for each metre
     length_cost: NotNegative = 0.05  # shortest length, falling to 0 for the longest
-    change_cost: NotNegative = 1.2  # hysteresis: another target than the one before, unless it is the reference line
+    change_cost: NotNegative = 1.2  # hysteresis: quite another target than the one before, unless the reference line
     stay_cost: NotNegative = 0.8  # going on in the lane in which the ego is where the route leaves it
     neighbour_cost: NotNegative = 0.5  # leaving the own lane for one of the same direction
     unknown_side_cost: NotNegative = 1.5  # leaving it where no map tells what is there

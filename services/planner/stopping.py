@@ -37,5 +37,7 @@ def first_contact(
     x, y, heading, _ = path.at(motion.distance)
     risk, known = timed_risk(volume, footprint, x, y, heading, motion.t)
     moving = motion.speed > 0.05
-    bad = moving & (meets(volume, footprint, x, y, heading, motion.t, r_hit) | ~known)
+    near = moving & ~(risk < r_hit - 0.02)  # what lies between two samples is looked for only there
+    met = near & meets(volume, footprint, x, y, heading, motion.t, r_hit) if near.any() else near
+    bad = moving & (met | ~known)
     return (int(np.argmax(bad)), float(risk[np.argmax(bad)])) if bad.any() else None

@@ -135,8 +135,10 @@ def _risk_problem(
     braking = bool(np.all(np.diff(part.speed) <= 1e-9)) and _brakes_hard(part, settings)
     half = 0.5 * ego.wheelbase
     x, y = part.x - half * np.cos(part.heading), part.y - half * np.sin(part.heading)
-    met = ~(risk <= bound) & meets(volume, footprint, x, y, part.heading, part.t, bound)
-    bad = moving & met & ~_comes_over(part, ego, volume, footprint, settings)
+    bad = moving & ~(risk <= bound)
+    if bad.any():
+        bad &= meets(volume, footprint, x, y, part.heading, part.t, bound)
+        bad &= ~_comes_over(part, ego, volume, footprint, settings)
     if bad.any() and not braking:
         i = int(np.argmax(bad))
         return f"meets risk {risk[i]:.2f} at {part.t[i]:.1f} s, contact is {settings.r_hit:.2f}"
