@@ -9,7 +9,7 @@ import numpy as np
 from common.messages import Decision, ObjectClass, Slot
 from services.planner.footprint import Footprint
 from services.planner.trajectory import Path
-from services.planner.volume import Volume
+from services.planner.volume import OTHER, Volume
 
 _REACH = 3.0  # m; how far to the side the source is looked for
 
@@ -37,6 +37,7 @@ def explain(
     cell = volume.cell(px, py)
     index = volume.first + j
     slot = volume.source(index, *cell)
+    known = slot if slot is not None and slot.label != OTHER else None
     cx, cy = volume.cell_centre(*cell)
     side = _side(obstruction.path, obstruction.distance, float(footprint.x[k]), float(footprint.y[k]), volume, j)
     where = f"{abs(side):.1f} m {'left' if side > 0 else 'right'} of the path" if abs(side) > 0.3 else "on the path"
@@ -54,8 +55,8 @@ def explain(
         cell=cell,
         x=cx,
         y=cy,
-        source_id=slot.id if slot is not None else None,
-        source_cls=slot.cls if slot is not None else None,
+        source_id=known.id if known is not None else None,
+        source_cls=known.cls if known is not None else None,
         term=term,
         risk=float(values[j, 0, k]),
     )
@@ -95,6 +96,8 @@ def verb(desired: float, speed: float) -> str:
 def _name(slot: Slot | None) -> str:
     if slot is None:
         return "an unnamed source"
+    if slot.label == OTHER:
+        return "one of several sources that share a slot"
     kind = ObjectClass(slot.cls).name.lower() if 0 <= slot.cls <= max(ObjectClass) else slot.label or "static line"
     return f"{kind.replace('_', ' ')} {slot.id}"
 

@@ -20,6 +20,8 @@ F64 = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 U8 = npt.NDArray[np.uint8]
 
+OTHER = "other"
+"""Label of the slot that sources share which have none of their own."""
 NOBODY = 255
 """Source of what has none, or one that is not known."""
 
@@ -45,7 +47,7 @@ class Volume:
         out = np.full(256, NOBODY, dtype=np.uint8)
         numbers: dict[tuple[int, int], int] = {}
         for i, slot in enumerate(self.risk.slots[:NO_SLOT]):
-            if slot.id >= 0:
+            if slot.label != OTHER:
                 out[i] = min(numbers.setdefault((slot.id, slot.cls), len(numbers)), NOBODY)
         return out
 
