@@ -60,7 +60,9 @@ def eval_hazards(
 
 
 def figures(
-    out: Annotated[Path, typer.Option("--out", help="Folder for the PNG files; made if need be.", metavar="DIR")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the files; made if need be.", metavar="DIR")],
+    only: Annotated[list[str] | None, typer.Option("--only", help="Only this one; may be repeated.")] = None,
+    svg: Annotated[bool, typer.Option("--svg", help="SVG instead of PNG.")] = False,
 ) -> None:
     """Draw the paper's figures of the field from our own."""
     from evaluation.figures import command
@@ -69,7 +71,7 @@ def figures(
         if out.exists() and not out.is_dir():
             raise ConfigError(f"--out {out}: is a file, give a folder")
         try:
-            written = command.write(out)
+            written = command.write(out, only or (), svg=svg)
         except OSError as e:
             raise ConfigError(f"--out {out}: {e.strerror}") from None
         for path in written:
