@@ -39,6 +39,9 @@ def eval_hazards(
         bool, typer.Option("--traffic/--no-traffic", help="Count alarms in recorded traffic too ($FOREFIELD_DATA).")
     ] = True,
     tune: Annotated[bool, typer.Option("--tune", help="Tune every threshold again first.")] = False,
+    jobs: Annotated[
+        int, typer.Option("--jobs", help="Processes; 0: one for each core, at most 4. The result is the same.", min=0)
+    ] = 0,
     config_: Config = None,
     set_: Sets = None,
 ) -> None:
@@ -49,14 +52,15 @@ def eval_hazards(
         tree = configuration.load(config_, set_ or [])
         writable("--json", json_)
         writable("--plot", plot)
-        console = Console()
-        result = command.run(tree, seed=seed, count=count, tune=tune, with_traffic=traffic, console=console)
+        result = command.run(
+            tree, seed=seed, count=count, tune=tune, with_traffic=traffic, jobs=jobs, console=Console(stderr=True)
+        )
         if json_ is not None:
             write(json_, result)
         if plot is not None:
             command.draw(result, plot)
         for part in command.tables(result):
-            console.print(part)
+            Console().print(part)
 
 
 def figures(

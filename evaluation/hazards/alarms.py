@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from common.messages import F64, FRAME_S
 from evaluation.hazards.named import ALARM_S
 from evaluation.hazards.truth import Truth
 from evaluation.hazards.watch import SLACK, SLICE_S, Seen
 
-METHODS = ("field_predictive", "field_current", "ttc_lane", "ttc_2d", "crime_wttc")
-"""Every method; the last only where commonroad-crime is installed."""
+Bool = npt.NDArray[np.bool_]
+
+METHODS = ("field_predictive", "field_current", "ttc_lane", "ttc_2d", "wttc")
 
 CHOICES: dict[str, dict[str, tuple[float, ...]]] = {
-    "field_predictive": {
-        "horizon_s": (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0),
-        "slack_s": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5),
-    },
-    "field_current": {"horizon_s": (0.0, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)},
+    # who shall be warned early has to look far ahead: a shorter fade gains one of 240 tuning variants and costs 0.4 s
+    # of lead. Slices are half a second apart, a slack below a quarter would leave gaps.
+    "field_predictive": {"full_s": (2.0,), "fade_s": (4.0,), "slack_s": (0.3, 0.4, 0.5)},
+    "field_current": {"full_s": (0.5, 1.0, 1.5, 2.0), "fade_s": (2.5, 3.0, 4.0)},
     "ttc_lane": {},
     "ttc_2d": {},
-    "crime_wttc": {},
+    "wttc": {},
 }
 """What is chosen for each method beside its threshold and persistence, on the tuning set alone."""
 PERSISTENCE = (1, 2, 3, 4, 5)
@@ -50,15 +51,28 @@ class Alarm:
 
 
 def score(method: str, seen: Seen, options: dict[str, float]) -> F64:
-    """A number for each frame, the higher the more dangerous, [F]."""
+    """A number for each frame, the higher the more dangerous, [F].
+
+    Of the field: max over τ of w(τ) M(τ), τ the time until the ego is there; for the predictive field M is that of the
+    slices within `slack_s` of τ. w is 1 up to `full_s` and falls linearly to 0 at `fade_s`: what lies farther ahead is
+    less certain, and there is time to look again.
+    """
     if method == "field_predictive":
-        slices = round(options["horizon_s"] / SLICE_S) + 1
         slack = round(options["slack_s"] / FRAME_S)
-        return np.asarray(seen.field[:, :slices, SLACK - slack : SLACK + slack + 1].max((1, 2)))
+        slices = seen.field.shape[1]
+        ahead = SLICE_S * np.arange(slices)[:, None] + FRAME_S * np.arange(-slack, slack + 1)
+        met = seen.field[:, :, SLACK - slack : SLACK + slack + 1]
+        return np.asarray((met * faded(ahead, options)).max((1, 2)))
     if method == "field_current":
-        return np.asarray(seen.current[:, : round(options["horizon_s"] / SLICE_S) + 1].max(1))
-    times: dict[str, F64] = {"ttc_lane": seen.ttc_lane, "ttc_2d": seen.ttc_2d, "crime_wttc": seen.crime_wttc}
+        return np.asarray((seen.current * faded(SLICE_S * np.arange(seen.current.shape[1]), options)).max(1))
+    times: dict[str, F64] = {"ttc_lane": seen.ttc_lane, "ttc_2d": seen.ttc_2d, "wttc": seen.wttc}
     return -times[method]
+
+
+def faded(ahead: npt.ArrayLike, options: dict[str, float]) -> F64:
+    """w: how much counts what is met so far ahead [s]."""
+    full, fade = options["full_s"], options["fade_s"]
+    return np.asarray(np.clip((fade - np.asarray(ahead)) / (fade - full), 0.0, 1.0), dtype=np.float64)
 
 
 def held(values: F64, frames: int) -> F64:
@@ -92,6 +106,35 @@ def tune(method: str, watched: Sequence[tuple[Truth, Seen]]) -> Tuned:
     Every method is tuned by this rule, over its threshold, its persistence and its choices. The threshold lies in the
     middle between the two episodes that it separates.
     """
+    best = _best(method, watched, best_threshold, lambda t: (t.accuracy, -t.false_alarm_rate, t.median_lead_s))
+    assert best is not None
+    return best
+
+
+def tune_at_recall(method: str, watched: Sequence[tuple[Truth, Seen]], recall: float) -> Tuned | None:
+    """Fewest false alarms among the alarms that catch at least this share of the hazards; then the longest median lead.
+
+    None: nothing that can be chosen catches so many.
+    """
+
+    def threshold(top: F64, hazard: Bool) -> tuple[float, float, float] | None:
+        needed = int(np.ceil(recall * hazard.sum() - 1e-9))
+        at = float(np.sort(top[hazard])[::-1][needed - 1])
+        if not np.isfinite(at):
+            return None
+        alarmed = top >= at
+        return at, float(np.mean(alarmed == hazard)), float(alarmed[~hazard].mean())
+
+    return _best(method, watched, threshold, lambda t: (-t.false_alarm_rate, t.median_lead_s))
+
+
+def _best(
+    method: str,
+    watched: Sequence[tuple[Truth, Seen]],
+    threshold_of: Callable[[F64, Bool], tuple[float, float, float] | None],
+    rank: Callable[[Tuned], tuple[float, ...]],
+) -> Tuned | None:
+    """The best by rank, whose last part is the median lead, over all options and persistences."""
     hazard = np.array([truth.label == "hazard" for truth, _ in watched])
     best: Tuned | None = None
     for options in _options(method):
@@ -99,23 +142,20 @@ def tune(method: str, watched: Sequence[tuple[Truth, Seen]]) -> Tuned:
         for frames in PERSISTENCE:
             values = [held(s, frames) for s in scores]
             top = np.array([strongest(v, seen, truth) for v, (truth, seen) in zip(values, watched, strict=True)])
-            threshold, accuracy, false = best_threshold(top, hazard)
-            if best is not None and (accuracy, -false) < (best.accuracy, -best.false_alarm_rate):
+            known = threshold_of(top, hazard)
+            if known is None:
                 continue
-            alarm = Alarm(method, threshold, frames, options)
-            lead = median_lead(alarm, watched)
-            found = Tuned(alarm, accuracy, false, lead)
-            if best is None or _rank(found) > _rank(best):
+            threshold, accuracy, false = known
+            found = Tuned(Alarm(method, threshold, frames, options), accuracy, false, 0.0)
+            if best is not None and rank(found)[:-1] < rank(best)[:-1]:
+                continue
+            found = replace(found, median_lead_s=median_lead(threshold, values, watched))
+            if best is None or rank(found) > rank(best):
                 best = found
-    assert best is not None
     return best
 
 
-def _rank(t: Tuned) -> tuple[float, float, float]:
-    return (t.accuracy, -t.false_alarm_rate, t.median_lead_s)
-
-
-def best_threshold(top: F64, hazard: np.ndarray) -> tuple[float, float, float]:
+def best_threshold(top: F64, hazard: Bool) -> tuple[float, float, float]:
     """Threshold, accuracy and false alarm rate: highest accuracy, then fewest false alarms."""
     finite = np.unique(top[np.isfinite(top)])
     if not len(finite):
@@ -129,20 +169,13 @@ def best_threshold(top: F64, hazard: np.ndarray) -> tuple[float, float, float]:
     return float(candidates[k]), float(accuracy[k]), float(false[k])
 
 
-def leads(alarm: Alarm, watched: Sequence[tuple[Truth, Seen]]) -> list[float | None]:
-    """For each hazard, how long before the event the method first warns [s]; None: never."""
-    found: list[float | None] = []
-    for truth, seen in watched:
-        if truth.event_s is not None:
-            first = alarm.first(seen)
-            found.append(None if first is None else truth.event_s - first)
-    return found
-
-
-def median_lead(alarm: Alarm, watched: Sequence[tuple[Truth, Seen]]) -> float:
-    """Median lead over the hazards of which the method warns at all [s]; 0: of none."""
-    known = [v for v in leads(alarm, watched) if v is not None]
-    return float(np.median(known)) if known else 0.0
+def median_lead(threshold: float, values: Sequence[F64], watched: Sequence[tuple[Truth, Seen]]) -> float:
+    """Median lead over the hazards of which a method warns at all [s]; 0: of none. `values` are held scores."""
+    leads = []
+    for v, (truth, seen) in zip(values, watched, strict=True):
+        if truth.event_s is not None and len(above := np.flatnonzero(v >= threshold)):
+            leads.append(truth.event_s - float(seen.t[above[0]]))
+    return float(np.median(leads)) if leads else 0.0
 
 
 def _options(method: str) -> Iterator[dict[str, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from common.messages import F64, Risk
 
@@ -23,8 +24,8 @@ def points_at(x: F64, y: F64, heading: F64, body: F64) -> tuple[F64, F64]:
     return x[..., None] + c * body[:, 0] - s * body[:, 1], y[..., None] + s * body[:, 0] + c * body[:, 1]
 
 
-def read(risk: Risk, j: int, x: F64, y: F64) -> F64:
-    """M_j at points of the `map` frame, bilinear between cell centres; 0 beyond the grid."""
+def read(risk: Risk, j: npt.ArrayLike, x: F64, y: F64) -> F64:
+    """M_j at points of the `map` frame, bilinear between cell centres; 0 beyond the grid. j, x and y broadcast."""
     g = risk.grid
     c, s = np.cos(g.heading), np.sin(g.heading)
     dx, dy = x - g.x, y - g.y
@@ -33,8 +34,8 @@ def read(risk: Risk, j: int, x: F64, y: F64) -> F64:
     fi, fj = np.clip(fi, 0.0, g.rows - 1.001), np.clip(fj, 0.0, g.columns - 1.001)
     i, k = fi.astype(np.intp), fj.astype(np.intp)
     wi, wk = fi - i, fj - k
-    m = risk.volume[j].ravel()
-    at = i * g.columns + k
+    m = np.ascontiguousarray(risk.volume).ravel()
+    at = (np.asarray(j, dtype=np.intp) * g.rows + i) * g.columns + k
 
     def cells(shift: int) -> F64:
         return np.asarray(np.take(m, at + shift), dtype=np.float64)
@@ -44,6 +45,7 @@ def read(risk: Risk, j: int, x: F64, y: F64) -> F64:
     return np.asarray(np.where(known, (1 - wi) * low + wi * high, 0.0), dtype=np.float64)
 
 
-def met(risk: Risk, j: int, x: F64, y: F64, heading: F64, body: F64) -> F64:
-    """Largest M_j under the footprint at poses [...]."""
-    return np.asarray(read(risk, j, *points_at(x, y, heading, body)).max(-1))
+def met(risk: Risk, j: npt.ArrayLike, x: F64, y: F64, heading: F64, body: F64) -> F64:
+    """Largest M_j under the footprint at poses [...]; j is one slice, or one for each pose."""
+    j = np.asarray(j)
+    return np.asarray(read(risk, j[..., None] if j.ndim else j, *points_at(x, y, heading, body)).max(-1))

@@ -14,7 +14,7 @@ COLOURS = {
     "field_current": "#56b4e9",
     "ttc_lane": "#d55e00",
     "ttc_2d": "#e69f00",
-    "crime_wttc": "#999999",
+    "wttc": "#999999",
 }
 """Okabe and Ito's palette, safe for colour-blind readers."""
 WRONG = "#d55e00"
@@ -22,18 +22,19 @@ RIGHT = "#dbe9f2"
 
 
 def plot(result: dict[str, Any], path: Path) -> None:
-    """Draw rates with their intervals, leads, and the verdicts on the 24."""
+    """Draw rates with their intervals, leads, what other thresholds would give, and the verdicts on the 24."""
     with mpl.rc_context({"font.size": 9, "axes.titlesize": 9.5, "savefig.dpi": 200, "axes.linewidth": 0.7}):
         _figure(result).savefig(path)
 
 
 def _figure(result: dict[str, Any]) -> Figure:
     methods = list(result["random"])
-    fig = Figure(figsize=(11.0, 5.6), layout="constrained")
-    grid = fig.add_gridspec(2, 2, width_ratios=[1.25, 1.0])
-    _rates(fig.add_subplot(grid[0, 0]), result, methods)
+    fig = Figure(figsize=(12.0, 6.0), layout="constrained")
+    grid = fig.add_gridspec(2, 3, width_ratios=[0.8, 0.8, 1.1])
+    _rates(fig.add_subplot(grid[0, :2]), result, methods)
     _leads(fig.add_subplot(grid[1, 0]), result, methods)
-    _matrix(fig.add_subplot(grid[:, 1]), result, methods)
+    _frontier(fig.add_subplot(grid[1, 1]), result, methods)
+    _matrix(fig.add_subplot(grid[:, 2]), result, methods)
     return fig
 
 
@@ -66,8 +67,24 @@ def _leads(ax: Any, result: dict[str, Any], methods: list[str]) -> None:
         ax.plot([low, high], [y, y], color="#1b1b1b", lw=1.0)
     ax.axvline(result["rules"]["alarm_s"], color="#1b1b1b", lw=0.8, ls=":")
     ax.set_yticks(range(len(methods)), methods[::-1])
-    ax.set_xlabel("median time from the first warning to the event [s]; dotted: what counts")
-    ax.set_title("(b)  how early, random variants")
+    ax.set_xlabel("median lead [s]; dotted: what counts")
+    ax.set_title("(b)  how early")
+
+
+def _frontier(ax: Any, result: dict[str, Any], methods: list[str]) -> None:
+    """Each method at every threshold; a dot where it was tuned."""
+    for m in methods:
+        points = sorted(result["frontier"][m], key=lambda p: p["threshold"])
+        lead, right = ([p[key] for p in points] for key in ("median_lead_s", "accuracy"))
+        ax.plot(lead, 100 * np.array(right), color=COLOURS.get(m, "#999999"), lw=1.1)
+        f = result["random"][m]
+        ax.plot(f["median_lead_s"], 100 * f["accuracy"], "o", ms=4.5, color=COLOURS.get(m, "#999999"))
+    ax.axvline(result["rules"]["alarm_s"], color="#1b1b1b", lw=0.8, ls=":")
+    ax.axhline(95, color="#1b1b1b", lw=0.6, ls=":", zorder=0)
+    ax.set_xlabel("median lead [s]")
+    ax.set_ylabel("accuracy [%]")
+    ax.set_ylim(45, 101)
+    ax.set_title("(c)  every threshold; dot: as tuned")
 
 
 def _matrix(ax: Any, result: dict[str, Any], methods: list[str]) -> None:
@@ -85,5 +102,5 @@ def _matrix(ax: Any, result: dict[str, Any], methods: list[str]) -> None:
     ax.set_xticks(range(len(methods)), [m.replace("_", "\n") for m in methods], fontsize=7.5)
     ax.set_yticks(range(len(cases)), [c["name"] for c in cases], fontsize=7.5)
     ax.axhline(11.5, color="#1b1b1b", lw=1.0)
-    ax.set_title("(c)  the 24: lead of the warning; orange: wrong")
+    ax.set_title("(d)  the 24: lead of the warning; orange: wrong")
     ax.tick_params(length=0)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from importlib import resources
 from typing import Any
 
@@ -12,20 +13,31 @@ import numpy as np
 from rich.table import Table
 
 from evaluation.hazards import traffic
-from evaluation.hazards.alarms import METHODS, Alarm, Tuned, held, score, strongest, tune
+from evaluation.hazards.alarms import (
+    METHODS,
+    Alarm,
+    Tuned,
+    held,
+    median_lead,
+    score,
+    strongest,
+    tune,
+    tune_at_recall,
+)
 from evaluation.hazards.fingerprint import fingerprint
 from evaluation.hazards.named import ALARM_S, FORESEEABLE_S, Case, Drawn, named, variants
-from evaluation.hazards.published import WorstTtc
 from evaluation.hazards.statistics import bootstrap_median, mcnemar, wilson
 from evaluation.hazards.truth import PET_HARMLESS_S, PET_HAZARD_S
 from evaluation.hazards.watch import Cores, Seen, watch
+from evaluation.hazards.work import Work
 
 TUNING_SEED = 1000
 """Seed of the variants on which thresholds are tuned; no test uses it."""
 TUNING_COUNT = 240
 FIELD = "field_predictive"
 
-Say = Callable[[str], None]
+RECALLS = (0.3, 0.5, 0.8, 0.95)
+"""Shares of the hazards at which false alarms are compared."""
 
 
 class TunedAlarms(msgspec.Struct, frozen=True, kw_only=True):
@@ -35,6 +47,8 @@ class TunedAlarms(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     count: int
     methods: dict[str, Tuned]
+    at_recall: dict[str, dict[str, Tuned | None]] = {}
+    """For each of `RECALLS` (as text) and method: fewest false alarms at that recall."""
 
 
 def stored() -> TunedAlarms:
@@ -43,34 +57,32 @@ def stored() -> TunedAlarms:
     return msgspec.json.decode(text, type=TunedAlarms)
 
 
-def methods_here() -> tuple[str, ...]:
-    """The methods that can be computed here."""
-    return METHODS if WorstTtc.here() is not None else tuple(m for m in METHODS if m != "crime_wttc")
-
-
-def tuned_again(cores: Cores, say: Say) -> TunedAlarms:
+def tuned_again(cores: Cores, work: Work) -> TunedAlarms:
     """Tune every method on the tuning variants."""
-    watched = _watched(variants(TUNING_SEED, TUNING_COUNT), TUNING_COUNT, "tuning", cores, say)
+    watched = _watched(list(variants(TUNING_SEED, TUNING_COUNT)), "tuning", cores, work)
     pairs = [(case.truth, seen) for case, seen in watched]
     return TunedAlarms(
         definitions=fingerprint(named()),
         seed=TUNING_SEED,
         count=TUNING_COUNT,
-        methods={m: tune(m, pairs) for m in methods_here()},
+        methods={m: tune(m, pairs) for m in METHODS},
+        at_recall={f"{r:g}": {m: tune_at_recall(m, pairs, r) for m in METHODS} for r in RECALLS},
     )
 
 
-def measure(*, seed: int, count: int, tuned: TunedAlarms, cores: Cores, with_traffic: bool, say: Say) -> dict[str, Any]:
+def measure(
+    *, seed: int, count: int, tuned: TunedAlarms, cores: Cores, with_traffic: bool, work: Work
+) -> dict[str, Any]:
     """Judge every method on the 24 and on `count` random variants of `seed`, which must not be the tuning one."""
     if seed == tuned.seed:
         raise ValueError(f"seed {seed} is the one that thresholds were tuned on: choose another")
     begun = time.monotonic()
-    alarms = [t.alarm for m, t in tuned.methods.items() if m in methods_here()]
+    alarms = [t.alarm for t in tuned.methods.values()]
     cases = named()
     drawn = Drawn()
     sets = {
-        "named": _watched(cases, len(cases), "named", cores, say),
-        "random": _watched(variants(seed, count, drawn), count, "random", cores, say),
+        "named": _watched(cases, "named", cores, work),
+        "random": _watched(list(variants(seed, count, drawn)), "random variants", cores, work),
     }
     result: dict[str, Any] = {
         "definitions": fingerprint(cases),
@@ -106,17 +118,19 @@ def measure(*, seed: int, count: int, tuned: TunedAlarms, cores: Cores, with_tra
         for case, seen in watched
         if not correct(field, case, seen)
     ]
-    result["traffic"] = traffic.alarms_per_hour(alarms, cores, None, say) if with_traffic else None
+    result["frontier"] = {a.method: frontier(a, sets["random"]) for a in alarms}
+    result["traffic"] = traffic.alarms_per_hour(alarms, at_recall(tuned), cores, work) if with_traffic else None
     result["took_s"] = time.monotonic() - begun
     return result
 
 
-def _watched(cases: Iterable[Case], count: int, name: str, cores: Cores, say: Say) -> list[tuple[Case, Seen]]:
-    watched = []
-    for k, case in enumerate(cases):
-        say(f"{name}: {k + 1} of {count}")
-        watched.append((case, watch(case, cores)))
-    return watched
+def at_recall(tuned: TunedAlarms) -> dict[str, list[Alarm]]:
+    """By recall, the alarms of the methods that reach it."""
+    return {r: [t.alarm for t in per.values() if t is not None] for r, per in tuned.at_recall.items()}
+
+
+def _watched(cases: list[Case], what: str, cores: Cores, work: Work) -> list[tuple[Case, Seen]]:
+    return list(zip(cases, work.map(partial(watch, cores=cores), cases, what), strict=True))
 
 
 def correct(alarm: Alarm, case: Case, seen: Seen) -> bool:
@@ -156,6 +170,30 @@ def figures(alarm: Alarm, watched: Sequence[tuple[Case, Seen]], right: Sequence[
         "n_hazard": n_hazard,
         "n_harmless": n_harmless,
     }
+
+
+def frontier(alarm: Alarm, watched: Sequence[tuple[Case, Seen]], most: int = 60) -> list[dict[str, float]]:
+    """What another threshold would give: accuracy, false alarms, recall and median lead, at up to `most` thresholds."""
+    pairs = [(case.truth, seen) for case, seen in watched]
+    values = [held(score(alarm.method, seen, alarm.options), alarm.persistence) for _, seen in watched]
+    hazard = np.array([truth.label == "hazard" for truth, _ in pairs])
+    top = np.array([strongest(v, seen, truth) for v, (truth, seen) in zip(values, pairs, strict=True)])
+    finite = np.unique(top[np.isfinite(top)])
+    if not len(finite):
+        return []
+    points = []
+    for threshold in np.unique(np.quantile(finite, np.linspace(0.0, 1.0, most), method="nearest")):
+        alarmed = top >= threshold
+        points.append(
+            {
+                "threshold": float(threshold),
+                "accuracy": float(np.mean(alarmed == hazard)),
+                "recall": float(alarmed[hazard].mean()) if hazard.any() else 0.0,
+                "false_alarm_rate": float(alarmed[~hazard].mean()) if (~hazard).any() else 0.0,
+                "median_lead_s": median_lead(float(threshold), values, pairs),
+            }
+        )
+    return points
 
 
 def why(alarm: Alarm, case: Case, seen: Seen) -> dict[str, Any]:
@@ -225,6 +263,20 @@ def table(result: dict[str, Any]) -> Table:
                 "" if rate is None else f"{rate:.1f}",
             )
         out.add_section()
+    return out
+
+
+def traffic_table(found: dict[str, Any]) -> Table:
+    """Alarms for an hour of recorded driving, at equal recall on the tuning set and as tuned."""
+    out = Table(title=f"Alarms per hour in recorded traffic ({found['drives']} drives, {found['hours']:.2f} h)")
+    methods = list(found["alarms_per_hour"])
+    out.add_column("thresholds")
+    for m in methods:
+        out.add_column(m, justify="right")
+    rows = [(f"recall {100 * float(r):.0f} %", rates) for r, rates in found["at_recall"].items()]
+    for name, rates in [*rows, ("highest accuracy", found["alarms_per_hour"])]:
+        cells = [rates.get(m) for m in methods]
+        out.add_row(name, *("not reached" if v is None else f"{v:.0f}" for v in cells))
     return out
 
 

@@ -7,8 +7,9 @@ the ego goes on along the path that it was recorded on, at its present speed; th
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ import numpy as np
 
 from common.geometry import Polyline
 from common.messages import F64, FRAME_S, Ego, Map, ObjectClass, Objects
-from evaluation.hazards.alarms import Alarm, held, score
-from evaluation.hazards.watch import Cores, FieldWatcher, Seen, Times, stacked
+from evaluation.hazards.alarms import Alarm, Bool, held, score
+from evaluation.hazards.watch import Cores, FieldWatcher, Seen, stacked, times_to_collision
+from evaluation.hazards.work import Work
 from rig.sources import load_scenario, recorded_scenarios
 from rig.world import Scenario, ScenarioError, Track
 
@@ -76,36 +78,24 @@ class Onward:
         return p[..., 0], p[..., 1], np.arctan2(d[..., 1], d[..., 0])
 
 
-def drives(limit: int | None = None) -> Iterator[tuple[str, Drive]]:
-    """All drives with the name of their source; `limit` of them at most for each source."""
-    for name, worlds in _sources():
-        count = 0
-        for world in worlds():
-            for drive in _egos(name, world):
-                if limit is not None and count >= limit:
-                    break
-                count += 1
-                yield name, drive
-
-
-def _sources() -> Iterator[tuple[str, Callable[[], Iterator[Scenario]]]]:
+def recordings() -> list[tuple[str, str]]:
+    """All recordings below FOREFIELD_DATA: the name of the source, and the file."""
     data = os.environ.get("FOREFIELD_DATA")
     if not data:
-        return
-    for path in sorted((Path(data) / "tracks").rglob("*.csv*")):
-        yield path.name.split(".")[0], lambda path=path: _worlds([str(path)])  # type: ignore[misc]
-    files = recorded_scenarios()
-    for place in sorted({name.split("-")[0] for name in files}):
-        chosen = [str(p) for name, p in files.items() if name.split("-")[0] == place]
-        yield f"commonroad {place}", lambda chosen=chosen: _worlds(chosen)  # type: ignore[misc]
+        return []
+    tables = [(path.name.split(".")[0], str(path)) for path in sorted((Path(data) / "tracks").rglob("*.csv*"))]
+    scenarios = [(f"commonroad {name.split('-')[0]}", str(p)) for name, p in recorded_scenarios().items()]
+    return tables + sorted(scenarios)
 
 
-def _worlds(names: Sequence[str]) -> Iterator[Scenario]:
-    for name in names:
-        try:
-            yield load_scenario(name)
-        except ScenarioError:
-            continue  # a recording without a vehicle that could be the ego
+def watch_recording(recording: tuple[str, str], cores: Cores) -> list[tuple[Seen, Bool]]:
+    """All drives of one file; none where nobody in it could be the ego."""
+    name, path = recording
+    try:
+        world = load_scenario(path)
+    except ScenarioError:
+        return []
+    return [seen for drive in _egos(name, world) if (seen := watch_drive(drive, cores)) is not None]
 
 
 def _egos(name: str, world: Scenario) -> Iterator[Drive]:
@@ -138,14 +128,14 @@ def _along(path: Polyline, line: F64) -> F64:
     return np.asarray(np.maximum.accumulate(path.project(line)[0]))
 
 
-def watch_drive(drive: Drive, cores: Cores) -> tuple[Seen, np.ndarray] | None:
+def watch_drive(drive: Drive, cores: Cores) -> tuple[Seen, Bool] | None:
     """What the methods see, and in which frames the ego drives; None: too short."""
     rows_total = min(len(drive.s), round(LONGEST_S / FRAME_S) + WARM_FRAMES)
     begin = max(0, -drive.first)  # the world has no past before its frame 0
     if rows_total - begin <= WARM_FRAMES + 5:
         return None
     top = max(drive.speed(r) for r in range(begin, rows_total))
-    watcher, times = FieldWatcher(top, curved=True, cores=cores), Times()
+    watcher = FieldWatcher(top, curved=True, cores=cores)
     rows: list[tuple[float, F64, F64, tuple[float, ...]]] = []
     moving = []
     for row in range(begin, rows_total):
@@ -169,40 +159,44 @@ def watch_drive(drive: Drive, cores: Cores) -> tuple[Seen, np.ndarray] | None:
             wheelbase=0.6 * drive.ego.length,
         )
         field, current = watcher.read(prediction, ego, onward, t)
-        rows.append((t, field, current, times(ego, s, speed, drive.path, objects)))
+        rows.append((t, field, current, times_to_collision(ego, s, speed, drive.path, objects)))
         moving.append(speed >= MOVING_MPS)
     return stacked(rows), np.array(moving)
 
 
-def onsets(alarm: Alarm, seen: Seen, moving: np.ndarray) -> int:
+def onsets(alarm: Alarm, seen: Seen, moving: Bool) -> int:
     """How many alarms a drive has: each counts once, and again after `APART_S` of silence."""
     on = np.flatnonzero(moving & (held(score(alarm.method, seen, alarm.options), alarm.persistence) >= alarm.threshold))
     return 0 if not len(on) else 1 + int((np.diff(seen.t[on]) >= APART_S).sum())
 
 
 def alarms_per_hour(
-    alarms: Sequence[Alarm], cores: Cores, limit: int | None, say: Callable[[str], None]
+    alarms: Sequence[Alarm], at_recall: Mapping[str, Sequence[Alarm]], cores: Cores, work: Work
 ) -> dict[str, Any]:
-    """Alarms of every method for an hour of driving, in all and for each source."""
-    hours: dict[str, float] = {}
-    counts: dict[str, dict[str, int]] = {}
-    number = 0
-    for name, drive in drives(limit):
-        seen = watch_drive(drive, cores)
-        if seen is None:
-            continue
-        number += 1
-        hours[name] = hours.get(name, 0.0) + float(seen[1].sum()) * FRAME_S / 3600.0
-        per = counts.setdefault(name, {a.method: 0 for a in alarms})
-        for a in alarms:
-            per[a.method] += onsets(a, *seen)
-        say(f"recorded traffic: {number} drives")
+    """Alarms of every method for an hour of driving, as tuned and at equal recall; as tuned for each source too."""
+    files = recordings()
+    watched = work.map(partial(watch_recording, cores=cores), files, "recorded traffic")
+    drives = [(name, *drive) for (name, _), found in zip(files, watched, strict=True) for drive in found]
+    hours = {name: 0.0 for name, _, _ in drives}
+    for name, _, moving in drives:
+        hours[name] += float(moving.sum()) * FRAME_S / 3600.0
     total = sum(hours.values())
-    sums = {a.method: sum(per[a.method] for per in counts.values()) for a in alarms}
+
+    def counts(chosen: Sequence[Alarm], source: str | None = None) -> dict[str, int]:
+        return {
+            a.method: sum(onsets(a, seen, moving) for name, seen, moving in drives if source in (None, name))
+            for a in chosen
+        }
+
+    def rates(numbers: dict[str, int]) -> dict[str, float | None]:
+        return {m: n / total if total else None for m, n in numbers.items()}
+
+    sums = counts(alarms)
     return {
-        "drives": number,
+        "drives": len(drives),
         "hours": total,
         "alarms": sums,
-        "alarms_per_hour": {m: n / total if total else None for m, n in sums.items()},
-        "by_source": {name: {"hours": hours[name], "alarms": counts[name]} for name in sorted(hours)},
+        "alarms_per_hour": rates(sums),
+        "at_recall": {recall: rates(counts(chosen)) for recall, chosen in at_recall.items()},
+        "by_source": {name: {"hours": hours[name], "alarms": counts(alarms, name)} for name in sorted(hours)},
     }

@@ -16,12 +16,12 @@ import numpy as np
 from common import config
 from common.config import Tree
 from common.geometry import Polyline
-from common.messages import F64, FRAME_S, Ego, Map, Objects, Prediction, Stamped
+from common.messages import F32, F64, FRAME_S, Ego, Map, Objects, Prediction, Stamped
 from common.risk import RiskParameters
 from evaluation.hazards.episode import HISTORY_S
 from evaluation.hazards.footprint import footprint, met
 from evaluation.hazards.named import Case
-from evaluation.hazards.published import WorstTtc
+from evaluation.hazards.published import wttc
 from evaluation.hazards.ttc import ttc_2d, ttc_lane
 from services.predictor.core import Predictor
 from services.predictor.settings import PredictorSettings
@@ -29,8 +29,8 @@ from services.riskfield.core import RiskField
 from services.riskfield.settings import RiskfieldSettings
 
 SLICE_S = 0.5
-REACH_S = 5.0
-"""The field is read so far ahead [s]."""
+REACH_S = 4.0
+"""The field is read so far ahead [s]; what lies farther has no weight in any alarm (`alarms.faded`)."""
 SLACK = 5
 """The ego is looked for in slice j up to so many frames before and after t_j."""
 
@@ -48,23 +48,23 @@ class Seen:
 
     t: F64
     """Time of each frame [s], [F]."""
-    field: F64
+    field: F32
     """Largest M_j under the footprint at t_j + m · 0.1 s, m = −SLACK … SLACK, [F, slices, 2 SLACK + 1]."""
-    current: F64
+    current: F32
     """Largest M_0 under the footprint at t_j: the field of the moment, frozen, [F, slices]."""
     ttc_lane: F64
     """[F] [s]."""
     ttc_2d: F64
-    crime_wttc: F64
-    """NaN where commonroad-crime is not installed."""
+    wttc: F64
 
 
 ALERT: Tree = {
     "policy": "map-first",
-    "kinematic": {"turn_sure": 0.35, "braking_sure_mps2": 2.0},
-    "map": {"swerve_max": 0.3},
+    "kinematic": {"turn_sure": 0.35, "turn_rate_min": 0.2, "braking_sure_mps2": 2.0},
+    "map": {"swerve_scale": 1000.0, "heading_tolerance": 0.25, "branch_s": 0.1, "body_yaw": 1.0},
 }
-"""An alarm's predictor believes strong turns and braking at once; chosen on tuning seeds, see docs/hazards.md."""
+"""An alarm's predictor: position and yaw alone say which lane, whoever points elsewhere is on none, and strong turns
+and braking are believed at once; chosen on tuning seeds, see docs/hazards.md."""
 
 
 def alert_predictor() -> PredictorSettings:
@@ -132,7 +132,7 @@ class FieldWatcher:
         slack = FRAME_S * np.arange(-SLACK, SLACK + 1)
         ahead = np.maximum(starts[:, None] + slack, 0.0)  # nobody is met in the past
         x, y, heading = course.ego_poses(t + ahead)
-        ahead_risk = np.stack([met(risk, j, x[j], y[j], heading[j], body) for j in range(len(starts))])
+        ahead_risk = met(risk, np.arange(len(starts))[:, None], x, y, heading, body)
         return ahead_risk, met(risk, 0, *course.ego_poses(t + starts), body)
 
 
@@ -143,30 +143,28 @@ def watch(case: Case, cores: Cores) -> Seen:
     curved = float(np.ptp(e.path.tangents[:, 1])) > 1e-6
     watcher = FieldWatcher(e.speed, curved=curved, cores=cores)
     for k in range(-round(HISTORY_S / FRAME_S), 0):
-        watcher.observe(e.objects(k), k * FRAME_S, e.map)
-    times, rows = Times(), []
+        watcher.observe(e.objects(k), k * FRAME_S, None)  # a history needs no map
+    rows = []
     for k in range(int(np.floor(end / FRAME_S + 1e-9)) + 1):
         t = k * FRAME_S
         objects, ego = e.objects(k), e.ego(t)
         risks = watcher.read(watcher.observe(objects, t, e.map), ego, e, t)
         s = e.s0 + e.speed * t
-        rows.append((t, *risks, times(ego, s, e.speed, e.path, objects)))
+        rows.append((t, *risks, times_to_collision(ego, s, e.speed, e.path, objects)))
     return stacked(rows)
 
 
-class Times:
-    """The times to collision, of one moment each."""
-
-    def __init__(self) -> None:
-        self._worst = WorstTtc.here()
-
-    def __call__(self, ego: Ego, s: float, speed: float, path: Polyline, objects: Objects) -> tuple[float, ...]:
-        """`ttc_lane`, `ttc_2d`, `crime_wttc` [s]."""
-        worst = float("nan") if self._worst is None else self._worst(ego, objects)
-        return ttc_lane(ego, s, speed, path, objects), ttc_2d(ego, s, speed, path, objects), worst
+def times_to_collision(ego: Ego, s: float, speed: float, path: Polyline, objects: Objects) -> tuple[float, ...]:
+    """`ttc_lane`, `ttc_2d`, `wttc` of one moment [s]."""
+    return ttc_lane(ego, s, speed, path, objects), ttc_2d(ego, s, speed, path, objects), wttc(ego, objects)
 
 
 def stacked(rows: Iterable[tuple[float, F64, F64, tuple[float, ...]]]) -> Seen:
     """One `Seen` of many frames."""
     t, predictive, current, times = zip(*rows, strict=True)
-    return Seen(np.array(t), np.stack(predictive), np.stack(current), *np.array(times).T)
+    return Seen(
+        np.array(t),
+        np.stack(predictive).astype(np.float32),
+        np.stack(current).astype(np.float32),
+        *np.array(times).reshape(len(t), -1).T,
+    )

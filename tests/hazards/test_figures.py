@@ -40,3 +40,11 @@ def test_the_turning_car_s_field_bends_with_its_path():
     s = np.hypot(p.x[0, 12] - p.x0[0], p.y[0, 12] - p.y0[0])
     ahead = at(float(p.x0[0] + s * np.cos(p.heading0[0])), float(p.y0[0] + s * np.sin(p.heading0[0])))
     assert on_path > ahead + 0.1
+
+
+def test_an_unknown_figure_is_refused_with_the_known_ones(tmp_path: Path):
+    from common.config import ConfigError
+    from evaluation.figures import command
+
+    with pytest.raises(ConfigError, match="turning_object"):
+        command.write(tmp_path, ["nonsense"])
