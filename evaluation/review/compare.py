@@ -181,11 +181,8 @@ def _summary_table(found: dict[str, Any]) -> Table:
     for name in ("A", "B", "change"):
         out.add_column(name, justify="right")
     for row in found["summary"]:
-        label = row["name"].replace("_", " ")
-        label = label.removesuffix(" s").removesuffix(" mps").removesuffix(" ms").removesuffix(" m")
-        unit = f" [{row['unit']}]" if row["unit"] else ""
         change = "" if not row["change"] else f"{row['change']:+g}"
-        out.add_row(escape(f"{label}{unit}"), _said(row["a"]), _said(row["b"]), change)
+        out.add_row(escape(_label(row)), _said(row["a"]), _said(row["b"]), change)
     return out
 
 
@@ -198,6 +195,14 @@ def _interventions_table(found: dict[str, Any]) -> Table:
     if not found["interventions"]:
         out.add_row("none", "none")
     return out
+
+
+def _label(row: dict[str, Any]) -> str:
+    """What a row is about, with its unit."""
+    label = row["name"]
+    for suffix in ("_mps", "_ms", "_s", "_m"):
+        label = label.removesuffix(suffix)
+    return f"{label.replace('_', ' ')} [{row['unit']}]" if row["unit"] else label.replace("_", " ")
 
 
 def _sentence(i: dict[str, Any] | None) -> str:
@@ -221,8 +226,7 @@ def markdown(found: dict[str, Any]) -> str:
     lines += ["| | A | B | change |", "|:--|--:|--:|--:|"]
     for row in found["summary"]:
         change = "" if not row["change"] else f"{row['change']:+g}"
-        unit = f" [{row['unit']}]" if row["unit"] else ""
-        lines.append(f"| {row['name'].replace('_', ' ')}{unit} | {_said(row['a'])} | {_said(row['b'])} | {change} |")
+        lines.append(f"| {_label(row)} | {_said(row['a'])} | {_said(row['b'])} | {change} |")
     lines += ["", "## Slow-downs and stops", "", "| A | B |", "|:--|:--|"]
     lines += [f"| {_sentence(p['a'])} | {_sentence(p['b'])} |" for p in found["interventions"]]
     return "\n".join(lines)
