@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         service = config.section(tree, "service", ServiceSettings)
         given = {k: v for k in ("record", "serve", "scenario") if (v := getattr(options, k)) is not None}
         tree = {**tree, "viz": {**tree.get("viz", {}), **given}}
-        settings = config.section(tree, "viz", VizSettings)
+        settings = config.section(_with_comfort(tree), "viz", VizSettings)
         logs.begin("viz", service.log_level, service.log_format)
         return run(tree, service, settings)
     except NoRouterError as e:
@@ -55,6 +55,19 @@ def main(arguments: list[str] | None = None) -> int:
     except (ConfigError, SinkError, OSError, ValueError) as e:
         print(f"viz: {e}", file=sys.stderr)
         return 2
+
+
+def _with_comfort(tree: Tree) -> Tree:
+    """Where the planner's settings are known and viz' own say nothing else, its comfort is what is drawn."""
+    planner = tree.get("planner", {})
+    tiers = planner.get("tier_brake") or [None]
+    known = {"comfort_accel": planner.get("accel"), "comfort_brake": tiers[0], "comfort_jerk": planner.get("jerk")}
+    default = VizSettings()
+    viz = dict(tree.get("viz", {}))
+    for name, value in known.items():
+        if value is not None and viz.get(name, getattr(default, name)) == getattr(default, name):
+            viz[name] = value
+    return {**tree, "viz": viz}
 
 
 def run(tree: Tree, service: ServiceSettings, settings: VizSettings) -> int:

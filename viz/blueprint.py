@@ -5,6 +5,7 @@ from __future__ import annotations
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind
+from rerun.encodings import TensorDimensionIndexSelection, TensorDimensionSelection
 
 from viz.colours import GROUND
 from viz.plots import SERVICES
@@ -34,11 +35,15 @@ def blueprint() -> rrb.Blueprint:
                     56.0,
                 ),
                 rrb.Horizontal(
-                    bird(
-                        "The slice that decided · everyone where predicted",
-                        ["+ slice/**", "+ world/map/**", "+ world/plan/profile", "- world/map/virtual_line"],
-                        (34.0, 0.0),
-                        50.0,
+                    rrb.Tabs(
+                        bird(
+                            "The slice that decided · everyone where predicted",
+                            ["+ slice/**", "+ world/map/**", "+ world/plan/profile", "- world/map/virtual_line"],
+                            (34.0, 0.0),
+                            50.0,
+                        ),
+                        slices(),
+                        active_tab=0,
                     ),
                     stack(),
                     column_shares=[1, 1],
@@ -63,12 +68,11 @@ def blueprint() -> rrb.Blueprint:
                     active_tab=0,
                 ),
                 series("plot/speed", "Speed [m/s]"),
-                series("plot/acceleration", "Acceleration [m/s²]"),
-                series(
-                    "plot/max_risk", "Highest risk on the path · a curve a slice, yellow now, blue last [E_max]", False
-                ),
-                series("plot/latency", "Latency [ms]"),
-                row_shares=[4, 2, 2, 2, 2],
+                series("plot/acceleration", "Acceleration, comfort's bounds [m/s²]", False),
+                series("plot/jerk", "Jerk, comfort's bounds [m/s³]", False),
+                series("plot/max_risk", "Highest risk on the path: yellow now, blue in 6 s [E_max]", False),
+                series("plot/latency", "Latency, deadline [ms]"),
+                row_shares=[10, 5, 4, 4, 4, 5],
             ),
             column_shares=[5, 2],
         ),
@@ -116,6 +120,22 @@ def stack() -> rrb.Spatial3DView:
             look_target=(30.0, 2.0, 15.0),
             eye_up=(0.0, 0.0, 1.0),
         ),
+    )
+
+
+def slices() -> rrb.TensorView:
+    """Any slice of the volume with its own numbers: a slider chooses which."""
+    return rrb.TensorView(
+        origin="risk/exact",
+        name="Any slice, exact · forward is right",
+        slice_selection=rrb.TensorSliceSelection(
+            width=TensorDimensionSelection(dimension=0, invert=False),
+            height=TensorDimensionSelection(dimension=2, invert=True),
+            indices=[TensorDimensionIndexSelection(dimension=1, index=0)],
+            slider=[1],
+        ),
+        scalar_mapping=rrb.TensorScalarMapping(colormap=rr.components.Colormap.Inferno, mag_filter="Nearest"),
+        view_fit="FillKeepAspectRatio",
     )
 
 

@@ -8,11 +8,17 @@ import rerun as rr
 from common.geometry import rectangle_corners
 from common.messages import U8, Candidates, Decision, Ego, Plan, Prediction, Risk, Trajectory
 from viz.canvas import F32, Canvas, yaw
-from viz.colours import CLASS_HEIGHTS, CLASS_NAMES, GREEN, PURPLE, VERMILION, WHITE, of_class, of_speed
+from viz.colours import CLASS_HEIGHTS, CLASS_NAMES, GREEN, PURPLE, VERMILION, WHITE, of_class, of_slice, of_speed
 from viz.field import GROUND_OPACITY, GROUND_Z, heatmap
 from viz.labels import apart, beside
 
 PATH_Z, TAIL_Z, CANDIDATE_Z = 0.30, 0.25, 0.12
+ACROSS_M = 1.7
+"""Half a line across the path where a slice begins [m]."""
+APART_M = 0.8
+"""Such lines that lie closer than this are left out [m]."""
+SIGN_EVERY = 0.13
+"""How near to an even second a slice must begin to carry its time [2 s]."""
 SIGN_M = 6.0
 """How far beside its cell a sign stands [m]."""
 
@@ -55,6 +61,39 @@ def log_path(canvas: Canvas, plan: Plan, lift: float, offset_s: float) -> None:
         for place, height, r in (("world", z, radius), ("stack", z_stack, radius * 1.3)):
             strip = canvas.points(path.x, path.y, height)
             canvas.log(f"{place}/plan/{name}", rr.LineStrips3D([strip], colors=[colour], radii=[r]))
+
+
+def log_slice_bounds(canvas: Canvas, plan: Plan) -> None:
+    """Log where the path crosses from one slice into the next: short lines across it, whole even seconds with a sign.
+
+    Their colours are those of the slices' curves: yellow now, blue last. Where the ego is to stand, those that would
+    lie on one another are left out.
+    """
+    path, slices = plan.profile, plan.slice_risk
+    strips: list[F32] = []
+    colours: list[U8] = []
+    signs: list[F32] = []
+    texts: list[str] = []
+    if path is not None and slices is not None and len(path.t) > 1:
+        shades = of_slice(len(slices.t))
+        heading = np.unwrap(path.heading)
+        last = (np.inf, np.inf)
+        for t, shade in zip(slices.t, shades, strict=True):
+            if not path.t[0] < t <= path.t[-1]:
+                continue
+            x, y = float(np.interp(t, path.t, path.x)), float(np.interp(t, path.t, path.y))
+            if np.hypot(x - last[0], y - last[1]) < APART_M:
+                continue
+            last = (x, y)
+            ahead = float(np.interp(t, path.t, heading))
+            ends = np.array([beside(x, y, ahead, side) for side in (-ACROSS_M, ACROSS_M)])
+            strips.append(canvas.points(ends[:, 0], ends[:, 1], PATH_Z + 0.1))
+            colours.append(shade)
+            if abs(t / 2 - round(t / 2)) < SIGN_EVERY and round(t) > 0:
+                signs.append(canvas.points(*beside(x, y, ahead, -2.2 * ACROSS_M), PATH_Z))
+                texts.append(f"{t:.0f} s")
+    canvas.log("world/plan/slices", rr.LineStrips3D(strips, colors=colours, radii=0.14))
+    canvas.log("world/plan/slices/time", rr.Points3D(signs, radii=0.01, colors=[WHITE], labels=texts, show_labels=True))
 
 
 def log_decision(canvas: Canvas, plan: Plan, lift: float, offset_s: float, heading: float) -> None:

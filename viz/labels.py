@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from common.messages import F64, I64
 
-ALONG_M, ACROSS_M = 16.0, 4.5
+ALONG_M, ACROSS_M = 20.0, 4.5
 """What a label takes in a view from above, along and across the picture [m]."""
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 
 import rerun as rr
 
 from common.messages import Plan, Status
-from common.topics import STATUS_OF
+from common.topics import RISK, STATUS_OF
 from viz.canvas import Canvas
 from viz.colours import GREEN, ORANGE, PURPLE, SKY, VERMILION, WHITE, YELLOW, Colour, of_slice
+from viz.settings import VizSettings
 
 SERIES: dict[str, tuple[str, Colour, float]] = {
     "plot/speed/ego": ("speed", WHITE, 2.0),
@@ -18,10 +20,16 @@ SERIES: dict[str, tuple[str, Colour, float]] = {
     "plot/speed/limit": ("limit", VERMILION, 1.0),
     "plot/acceleration/ego": ("acceleration", WHITE, 1.5),
     "plot/acceleration/planned": ("planned acceleration", GREEN, 1.0),
+    "plot/acceleration/most": ("comfort", VERMILION, 1.0),
+    "plot/acceleration/least": ("comfort, braking", VERMILION, 1.0),
+    "plot/jerk/ego": ("jerk", WHITE, 1.5),
+    "plot/jerk/most": ("comfort", VERMILION, 1.0),
+    "plot/jerk/least": ("comfort, downwards", VERMILION, 1.0),
     "plot/latency/predictor": ("predictor", SKY, 1.0),
     "plot/latency/riskfield": ("riskfield", ORANGE, 1.0),
     "plot/latency/planner": ("planner", GREEN, 1.0),
     "plot/latency/end_to_end": ("end to end", WHITE, 2.0),
+    "plot/latency/deadline": ("deadline: older risk is a safe stop", VERMILION, 1.0),
 }
 """Entity → name, colour, width of each curve."""
 
@@ -34,6 +42,8 @@ STATES: dict[str, Colour] = {
     "stopping": PURPLE,
     "silent": VERMILION,
 }
+OVER_S = 0.2
+"""Span of the difference quotient of jerk [s]."""
 SERVICES = tuple(name for name in STATUS_OF if name != "viz")
 """Who reports its health; each stands under its own name."""
 
@@ -58,6 +68,32 @@ def log_value(canvas: Canvas, path: str, value: float | None) -> None:
     """Log one value of a curve; nothing where it is unknown."""
     if value is not None:
         canvas.log(path, rr.Scalars(value))
+
+
+@dataclass
+class Jerk:
+    """Jerk as the acceleration's difference quotient over `OVER_S`, so that the integration step does not show."""
+
+    _seen: deque[tuple[float, float]] = field(default_factory=deque)
+
+    def of(self, t: float, acceleration: float) -> float | None:
+        """Jerk [m/s³] at t [s]; None before enough was seen, or after a gap."""
+        if self._seen and not 0 <= t - self._seen[-1][0] < 5 * OVER_S:
+            self._seen.clear()
+        self._seen.append((t, acceleration))
+        while len(self._seen) > 1 and t - self._seen[1][0] >= OVER_S - 1e-6:
+            self._seen.popleft()
+        before, was = self._seen[0]
+        return (acceleration - was) / (t - before) if t - before >= OVER_S - 1e-6 else None
+
+
+def log_bounds(canvas: Canvas, settings: VizSettings) -> None:
+    """Log what curves are held against: comfort's bounds, and the age at which a risk is no longer used."""
+    log_value(canvas, "plot/acceleration/most", settings.comfort_accel)
+    log_value(canvas, "plot/acceleration/least", -settings.comfort_brake)
+    log_value(canvas, "plot/jerk/most", settings.comfort_jerk)
+    log_value(canvas, "plot/jerk/least", -settings.comfort_jerk)
+    log_value(canvas, "plot/latency/deadline", 1e3 * (RISK.max_age_s or 0.0))
 
 
 def log_slice_risk_style(canvas: Canvas, times: list[float]) -> None:

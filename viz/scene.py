@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 import rerun as rr
 
-from common.messages import U8, Closures, Ego, Map, Objects, Plan, Prediction, Risk, Route, Stamped, Status
+from common.messages import U8, Closures, Ego, Map, Objects, Plan, Prediction, Risk, Route, SliceRisk, Stamped, Status
 from viz import account, decision, field, plots, road, traffic
 from viz.canvas import Canvas, Rows
 from viz.colours import of_speed
@@ -67,6 +67,9 @@ class Scene:
         self._full_scale = (0.0, 0.0)
         self._scale: tuple[float, float, tuple[float, ...]] | None = None
         self._story = ""
+        self._jerk = plots.Jerk()
+        self._methods: dict[int, int] = {}
+        self._slices = 0
         self._last_cause: tuple[str, int] | None = None
         plots.log_styles(self._canvas)
         account.log_version(self._canvas)
@@ -119,6 +122,9 @@ class Scene:
         plots.log_value(self._canvas, "plot/speed/ego", ego.speed)
         plots.log_value(self._canvas, "plot/speed/limit", self._limit)
         plots.log_value(self._canvas, "plot/acceleration/ego", ego.acceleration)
+        plots.log_value(self._canvas, "plot/jerk/ego", self._jerk.of(when.t, ego.acceleration))
+        if self._due("bounds", stamped.capture_ns, 1.0):
+            plots.log_bounds(self._canvas, self._settings)
 
     def objects(self, stamped: Stamped[Objects]) -> None:
         """Draw the objects."""
@@ -137,7 +143,7 @@ class Scene:
         ]
         ego = None if self._ego is None else self._ego.value
         near = None if ego is None else (ego.x, ego.y, ego.heading)
-        traffic.log_objects(self._canvas, objects, trails, near, self._settings.labelled, self._left_out)
+        traffic.log_objects(self._canvas, objects, trails, near, self._settings.labelled, self._left_out, self._methods)
 
     def prediction(self, stamped: Stamped[Prediction]) -> None:
         """Draw predicted tracks."""
@@ -147,6 +153,7 @@ class Scene:
         self._canvas.set_time(self._time.of(stamped))
         plots.log_value(self._canvas, "plot/latency/predictor", stamped.work_ns * 1e-6)
         account.log_prediction(self._canvas, prediction)
+        self._methods = dict(zip(prediction.id.tolist(), prediction.method.tolist(), strict=True))
         if self._due("prediction", stamped.capture_ns, self._settings.heavy_hz):
             if len(prediction.id):
                 self._canvas.place(float(prediction.x0[0]), float(prediction.y0[0]))
@@ -203,6 +210,7 @@ class Scene:
             self._raise_top(float(plan.candidates.desired_speed.max()))
         decision.log_candidates(canvas, plan.candidates, s.candidate_points, self._top_speed)
         decision.log_path(canvas, plan, s.lift, offset)
+        decision.log_slice_bounds(canvas, plan)
         heading = 0.0 if ego is None else ego.heading
         decision.log_decision(canvas, plan, s.lift, offset, heading)
         if volume is not None:
@@ -212,14 +220,20 @@ class Scene:
                 s.labelled,
             )  # fmt: skip
         if plan.slice_risk is not None and len(plan.slice_risk.risk):
-            times = [float(t) for t in plan.slice_risk.t]
-            if self._changes.news("slices", "i" * len(times)):
-                plots.log_slice_risk_style(canvas, [t - times[0] for t in times])
-            canvas.log("plot/max_risk/slices", rr.Scalars(plan.slice_risk.risk))
+            self._slice_risk(plan.slice_risk)
         text = decision.story(plan, ego, self._limit)
         if text != self._story:
             self._story = text
             canvas.log("why", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+
+    def _slice_risk(self, found: SliceRisk) -> None:
+        # a plan that has left the first slice behind tells one less: the number of curves stays
+        if len(found.risk) > self._slices:
+            self._slices = len(found.risk)
+            plots.log_slice_risk_style(self._canvas, [float(t - found.t[0]) for t in found.t])
+        padded = np.full(self._slices, np.nan)
+        padded[: len(found.risk)] = found.risk
+        self._canvas.log("plot/max_risk/slices", rr.Scalars(padded))
 
     # --- health ---
 

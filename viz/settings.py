@@ -43,7 +43,7 @@ class VizSettings(Settings, frozen=True):
     """Highest rate at which risk, candidates and objects are drawn [Hz]."""
     ego_hz: Positive = 20.0
     """Highest rate at which the ego is drawn [Hz]."""
-    exact_hz: Annotated[float, Meta(ge=0.0)] = 0.5
+    exact_hz: Annotated[float, Meta(ge=0.0)] = 1.0
     """Rate at which the volume is stored with its own numbers (float16 tensor) [Hz]; 0: never."""
     stack: bool = True
     """Draw the moving part of all slices as layers lifted by time; else only the first and the one that decided."""
@@ -59,3 +59,9 @@ class VizSettings(Settings, frozen=True):
     """How many objects, the nearest first, may carry a label; fewer where they would cover each other."""
     candidate_points: Annotated[int, Meta(ge=2)] = 12
     """Points drawn for each candidate."""
+    comfort_accel: Positive = 1.07
+    """Comfort's bound drawn beside the acceleration, speeding up [m/s²]; a run takes the planner's own."""
+    comfort_brake: Positive = 1.5
+    """The same, slowing down [m/s²]."""
+    comfort_jerk: Positive = 1.5
+    """The same for jerk [m/s³]."""

@@ -8,11 +8,18 @@ from dataclasses import dataclass, field
 import numpy as np
 import rerun as rr
 
-from common.messages import Ego, Objects, Prediction
+from common.messages import Ego, Method, Objects, Prediction
 from viz.canvas import Canvas, turned, yaw
 from viz.colours import CLASS_HEIGHTS, CLASS_NAMES, GREY, WHITE, faded, of_class
 from viz.labels import apart
 
+METHOD_NAMES = {
+    Method.CONSTANT_VELOCITY: "straight",
+    Method.CTRA: "turn",
+    Method.MAP_BASED: "lane",
+    Method.LSTM: "network",
+}
+"""What made a prediction, in a word that fits into a label."""
 FRAMES_PER_SEGMENT = 10
 FRAMES_PER_POINT = 5
 EGO_HEIGHT = 1.5
@@ -74,7 +81,7 @@ def log_ego_body(canvas: Canvas, length: float, width: float) -> None:
 
 def log_objects(
     canvas: Canvas, objects: Objects, trails: list[np.ndarray], near: tuple[float, float, float] | None, labelled: int,
-    left_out: dict[int, str],
+    left_out: dict[int, str], methods: dict[int, int] | None = None,
 ) -> None:  # fmt: skip
     """Log boxes by class, headings, labels (id, class, speed) of those nearest to `near`, and driven trails.
 
@@ -85,6 +92,7 @@ def log_objects(
         near: position [m] and heading [rad] of the ego, if known.
         labelled: how many objects may carry a label.
         left_out: objects that do not count in the risk, and why.
+        methods: what made the last prediction of each (`Method`), as far as it is known.
     """
     colours = of_class(objects.cls)
     height = np.array([CLASS_HEIGHTS[int(c)] for c in objects.cls]).reshape(-1)
@@ -125,15 +133,17 @@ def log_objects(
             canvas.points(objects.x, objects.y, height + 0.3)[order],
             radii=0.02,
             colors=colours[order],
-            labels=[_label(objects, int(i), float(speed[i]), left_out) for i in order],
+            labels=[_label(objects, int(i), float(speed[i]), left_out, methods or {}) for i in order],
             show_labels=True,
         ),
     )
 
 
-def _label(objects: Objects, i: int, speed: float, left_out: dict[int, str]) -> str:
+def _label(objects: Objects, i: int, speed: float, left_out: dict[int, str], methods: dict[int, int]) -> str:
     identity = int(objects.id[i])
     text = f"{CLASS_NAMES[int(objects.cls[i])]} {identity} · {speed:.0f} m/s"
+    if identity in methods:
+        text += f" · {METHOD_NAMES[Method(methods[identity])]}"
     return f"{text} · left out: {left_out[identity]}" if identity in left_out else text
 
 

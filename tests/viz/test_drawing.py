@@ -118,7 +118,7 @@ def test_the_edge_of_the_road_is_bright_the_land_behind_it_dark_and_the_exact_nu
     rim = levels[(centres[..., 1] > 5.0) & (centres[..., 1] < 5.25)]
     assert rim.min() > 120
     exact = rows(path, "/risk/exact")[0][1]["data"].as_py()[0]["buffer"]
-    assert np.array_equal(np.array(exact, np.float16), sent.ravel()) and (sent >= FULL).mean() > 0.5
+    assert np.array_equal(np.array(exact, np.float16), sent.transpose(1, 0, 2).ravel()) and (sent >= FULL).mean() > 0.5
 
 
 def test_through_the_time_stack_one_sees_the_road_and_what_moves_stands_out(tmp_path):
