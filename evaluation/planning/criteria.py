@@ -104,7 +104,7 @@ def _comfortable_turn(scenario: Scenario, record: Recorder, entry: Entry) -> str
 
 def _free_road(scenario: Scenario, record: Recorder, entry: Entry) -> str:
     """As fast as the IDM, without hunting."""
-    if entry["efficiency"] < 0.95:
+    if (entry["efficiency"] or 0.0) < 0.95:
         return f"{entry['efficiency']:.0%} of the IDM's way"
     return f"{entry['sign_changes_per_min']} sign changes a minute" if entry["sign_changes_per_min"] > 5 else ""
 
@@ -124,7 +124,8 @@ def _steady_following(scenario: Scenario, record: Recorder, entry: Entry) -> str
     wrong = _headway(scenario, record, entry)
     if wrong:
         return wrong
-    return f"{entry['efficiency']:.0%} of the IDM's way" if entry["efficiency"] < 0.85 else ""
+    share = entry["efficiency"] or 0.0
+    return f"{share:.0%} of the IDM's way" if share < 0.85 else ""
 
 
 def _stands_behind(scenario: Scenario, record: Recorder, entry: Entry) -> str:

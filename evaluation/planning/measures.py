@@ -62,7 +62,7 @@ def measured(scenario: Scenario, result: DriveResult, record: Recorder, yard: Ya
         "off_road_m": None if overhang is None else round(float(overhang.max()), 2),
         "distance_m": ego["distance_m"],
         "mean_speed_mps": ego["mean_speed_mps"],
-        "yardstick": yard.who,
+        "yardstick": yard.who if yard.fair else f"{yard.who}, which collided",
         "compared_m": round(record.distance(end), 2),
         "yardstick_m": round(yard.distance(end), 2),
         "comfortable_m": None if yard.comfortable is None else round(yard.comfortable(end), 2),
@@ -87,7 +87,8 @@ def measured(scenario: Scenario, result: DriveResult, record: Recorder, yard: Ya
         "reasons": dict(result.reasons.most_common(5)),
         "warnings": list(result.warnings),
     }
-    entry["efficiency"] = round(entry["compared_m"] / entry["yardstick_m"], 3) if entry["yardstick_m"] > 1.0 else None
+    comparable = yard.fair and entry["yardstick_m"] > 1.0
+    entry["efficiency"] = round(entry["compared_m"] / entry["yardstick_m"], 3) if comparable else None
     entry["criterion"] = criteria.judge(family, scenario, record, entry) if family else None
     entry["wall_s"] = round(result.wall_s, 2)
     entry["cycle_ms"] = cycle
@@ -133,7 +134,8 @@ def poisson_bound(events: int, km: float) -> float:
 
 def pooled_efficiency(entries: list[dict[str, Any]], who: str = "", of: str = "yardstick_m") -> float | None:
     """Distance driven as a share of the others' in the same time, pooled over distance; `of` is their entry."""
-    kept = [e for e in entries if (e[of] or 0.0) > 1.0 and (not who or e["yardstick"] == who)]
+    kept = [e for e in entries if e["efficiency"] is not None and (e[of] or 0.0) > 1.0]
+    kept = [e for e in kept if not who or e["yardstick"] == who]
     there = sum(e[of] for e in kept)
     share = sum(e["compared_m"] for e in kept) / there if there > 0 else math.nan
     return None if math.isnan(share) else round(share, 3)

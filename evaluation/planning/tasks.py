@@ -41,7 +41,7 @@ def run(task: Task) -> dict[str, dict[str, Any]]:
         except Exception as e:  # whatever a strange world does, the other worlds are still to be driven
             found[planner] = {"error": f"{type(e).__name__}: {e}"}
     try:
-        yard = yardstick(task.scenario, lambda: (driven.get("idm") or _drive(task, IdmDriver()))[1])
+        yard = yardstick(task.scenario, lambda: driven.get("idm") or _drive(task, IdmDriver()))
     except Exception as e:
         return {p: {"error": f"the yardstick failed: {type(e).__name__}: {e}"} for p in task.planners}
     for planner, (result, record) in driven.items():

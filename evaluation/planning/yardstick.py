@@ -9,6 +9,7 @@ import numpy as np
 
 from common.geometry import Polyline
 from common.messages import F64, FRAME_S
+from evaluation.planning.loop import DriveResult
 from evaluation.planning.recorder import Recorder
 from rig.sources.motion import fair
 from rig.world import Scenario
@@ -26,9 +27,11 @@ class Yardstick:
     distance: Callable[[float], float]
     comfortable: Callable[[float], float] | None = None
     """The same path and wishes under our comfort limits; None: not known."""
+    fair: bool = True
+    """Nobody is measured by one who drove through somebody."""
 
 
-def yardstick(scenario: Scenario, idm: Callable[[], Recorder]) -> Yardstick:
+def yardstick(scenario: Scenario, idm: Callable[[], tuple[DriveResult, Recorder]]) -> Yardstick:
     """The recorded human; else whoever reached the goal at a known time; else the IDM in the same traffic.
 
     `idm` drives it, if need be.
@@ -54,8 +57,9 @@ def yardstick(scenario: Scenario, idm: Callable[[], Recorder]) -> Yardstick:
         far, v, end = float(at[1] - at[0]), scenario.ego0.speed, scenario.human_goal_s
         # from the first speed, at a constant acceleration, so as to be at the goal in time
         return Yardstick("human", end, lambda t: v * t + (far - v * end) * (t / end) ** 2)
-    record = idm()
-    return Yardstick("idm", record.t[-1] if record.t else 0.0, record.distance)
+    result, record = idm()
+    crashed = bool(result.summary["ego"]["collision"])
+    return Yardstick("idm", record.t[-1] if record.t else 0.0, record.distance, fair=not crashed)
 
 
 def comfortably(p: F64, s: F64) -> tuple[F64, F64]:

@@ -182,7 +182,7 @@ def queue(draw: Draw) -> Scenario:
 def narrow_street(draw: Draw) -> Scenario:
     """Between parked cars, one of which opens a door."""
     goal, duration = 110.0, 34.0
-    road = one_way(draw, BEHIND_M + goal + REST_M, width=7.0)
+    road = one_way(draw, BEHIND_M + goal + REST_M, width=7.2)
     cars = [
         standing(
             k + 1,
@@ -194,15 +194,15 @@ def narrow_street(draw: Draw) -> Scenario:
             backwards=back,
         )
         for k in range(16)
-        for side, back in [((-2.55, False), (2.55, True))[k % 2]]
+        for side, back in [((-2.65, False), (2.65, True))[k % 2]]
     ]
     opens = draw.about(2.5, 1.0)
     swing = travelled(duration, [(0, 0), (opens, 0), (opens + 0.1, 1.0), (opens + 0.7, 1.0), (opens + 0.8, 0.0)])
     at = BEHIND_M + 22.0 + 7.5 * 4 + draw.about(0.0, 2.0)
-    door = crossing(40, ObjectClass.UNKNOWN, road.line, at, 2.15, 2.0, swing)
+    door = crossing(40, ObjectClass.UNKNOWN, road.line, at, 2.25, 2.0, swing)
     title = "A narrow street with an opening door"
     return drive(
-        "narrow_street", title, road, duration, draw.about(7.0, 1.0), goal, [*cars, door], limit=8.4, lane_width=7.0
+        "narrow_street", title, road, duration, draw.about(7.0, 1.0), goal, [*cars, door], limit=8.4, lane_width=7.2
     )
 
 
