@@ -21,7 +21,7 @@ GROUND_OPACITY = 0.8
 LEVELS = 255
 SHADES = 64
 """Levels that are used, evenly over the 256: as good to the eye, half the file."""
-STACK_LEVELS = 32
+STACK_LEVELS = 20
 """Colours of the time stack; fewer levels make a smaller file."""
 STACK_FAINTEST = 0.08
 """Risk below this share of the scale is clear in the time stack."""

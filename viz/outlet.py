@@ -103,6 +103,7 @@ class Outlet(ABC):
         # chunks are made by our own flushes
         batches = rr.ChunkBatcherConfig(flush_tick=NEVER_S)
         rec = rr.RecordingStream(APPLICATION, recording_id=self._recording_id, batcher_config=batches)
+        rec.disable_timeline("log_time")  # when it was drawn tells nobody anything
         rec.set_sinks(sink, default_blueprint=self._blueprint)
         return rec
 

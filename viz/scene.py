@@ -69,7 +69,7 @@ class Scene:
         self._story = ""
         self._jerk = plots.Jerk()
         self._methods: dict[int, int] = {}
-        self._slices = 0
+        self._slices = self._styled = 0
         self._last_cause: tuple[str, int] | None = None
         plots.log_styles(self._canvas)
         account.log_version(self._canvas)
@@ -168,6 +168,7 @@ class Scene:
         self._left_out = {source.id: source.reason for source in risk.left_out}
         if not self._due("risk", stamped.received_ns, s.heavy_hz):
             return
+        self._slices = max(self._slices, len(risk.slice_times))
         full_scale = s.full_scale * risk.e_max
         self._legend(full_scale, risk.e_max, self._top_speed)
         if self._scale != (scale := (full_scale, risk.e_max, tuple(risk.slice_times))):
@@ -228,9 +229,10 @@ class Scene:
 
     def _slice_risk(self, found: SliceRisk) -> None:
         # a plan that has left the first slice behind tells one less: the number of curves stays
-        if len(found.risk) > self._slices:
-            self._slices = len(found.risk)
-            plots.log_slice_risk_style(self._canvas, [float(t - found.t[0]) for t in found.t])
+        if len(found.risk) > self._styled:
+            self._slices = self._styled = max(self._slices, len(found.risk))
+            step = float(found.t[1] - found.t[0]) if len(found.t) > 1 else 0.0
+            plots.log_slice_risk_style(self._canvas, [step * j for j in range(self._slices)])
         padded = np.full(self._slices, np.nan)
         padded[: len(found.risk)] = found.risk
         self._canvas.log("plot/max_risk/slices", rr.Scalars(padded))

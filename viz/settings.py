@@ -35,7 +35,7 @@ class VizSettings(Settings, frozen=True):
     footer: bool = True
     """Finish the file with an index when it is closed. It costs memory while recording; without it a file still opens,
     and `rerun rrd optimize IN -o OUT` adds it afterwards."""
-    flush_s: Positive = 0.6
+    flush_s: Positive = 0.75
     """Rows wait this long to share a chunk [s]: smaller files, and as much is lost with a process that is killed."""
     live_flush_s: Positive = 0.2
     """The same for live viewers: the picture is later by as much [s]."""

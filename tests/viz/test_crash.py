@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("rerun")
 
+from common import topics
 from common.bus import BusSettings, open_bus, router
 from tests.viz import synthetic
 from tests.viz.reading import record, rows
@@ -111,3 +112,33 @@ def test_viz_has_longer_to_end_than_the_others_and_compose_gives_it_longer_still
     compose = yaml.safe_load((Path(__file__).parents[2] / "compose.yaml").read_text())
     grace = float(compose["services"]["viz"]["stop_grace_period"].removesuffix("s"))
     assert EXIT_DEADLINE_S < CLOSE_S < END_S < grace and END_S < STOP_VIZ_S
+
+
+def test_a_frozen_viz_slows_nobody_and_draws_on_when_it_thaws(tmp_path):
+    with (
+        router() as endpoint,
+        open_bus(BusSettings(connect=(endpoint,)), "ego", "vehicle") as bus,
+        open_bus(BusSettings(connect=(endpoint,)), "ego", "ears") as ears,
+    ):
+        vehicle = Vehicle(bus)
+        heard: list[int] = []
+        ears.watch(topics.RISK, lambda header, _: heard.append(header.seq))
+        viz = start(endpoint, "--record", str(tmp_path / "a.rrd"))
+        try:
+            until(lambda: (s := vehicle.status()) and s.state == "ready", within_s=30, what="viz")
+            until(lambda: vehicle.say(0) or vehicle.drawn("risk") >= 1, within_s=30, every_s=0.1, what="a drawing")
+            viz.send_signal(signal.SIGSTOP)
+            before, worst = len(heard), 0.0
+            for k in range(1, 61):
+                began = time.monotonic()
+                vehicle.say(k)
+                worst = max(worst, time.monotonic() - began)
+                time.sleep(0.02)
+            until(lambda: len(heard) >= before + 60, what="everyone else")
+            assert worst < 2.0  # a put that waited for viz would wait until its link's lease is over, or longer
+            drawn = vehicle.drawn("risk")
+            viz.send_signal(signal.SIGCONT)
+            until(lambda: vehicle.say(61) or vehicle.drawn("risk") > drawn, within_s=30, every_s=0.1, what="more")
+        finally:
+            viz.kill()
+            viz.communicate()
