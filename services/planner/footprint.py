@@ -25,7 +25,8 @@ U8 = npt.NDArray[np.uint8]
 Bools = npt.NDArray[np.bool_]
 
 _STAYS_S = 2.0  # s
-_CORNER = 0.3  # m; of the bumper, the outer part belongs to the flanks
+CORNER = 0.3
+"""Of the bumpers, the outer part belongs to the flanks [m]."""
 _AHEAD = 1.0  # m; so much of the flanks, from the bumper on, meets what the ego drives into
 _TAIL = 1.5  # m; largest distance between the samples behind
 _NEVER = 1e3  # E_max
@@ -70,7 +71,7 @@ class Footprint:
         outline = 2 * (columns + len(inner))
         x = np.concatenate((lx, lx, np.full(len(inner), lx[-1]), np.full(len(inner), lx[0]), lx[0] - tail))
         y = np.concatenate((np.full(columns, ly[-1]), np.full(columns, ly[0]), inner, inner, np.zeros(len(tail))))
-        before = (x >= lx[-1] - 1e-9) & (np.abs(y) <= ego.width / 2 - _CORNER)
+        before = (x >= lx[-1] - 1e-9) & (np.abs(y) <= ego.width / 2 - CORNER)
         margin = np.where(before | (np.arange(len(x)) >= outline), 0.0, flank_margin)
         ahead = np.where(x >= lx[-1] - _AHEAD, margin, _NEVER)
         rear = x < ego.wheelbase / 2 - 1e-9

@@ -2,7 +2,7 @@
 
 The volume holds everybody where he is predicted to be, and nobody is predicted to brake for the ego. Somebody faster
 behind it is therefore predicted to drive through it, and from then on stands in front of it: whoever brakes for that
-is hit the sooner. A source that comes to the rear of the ego's body before its front is a pusher.
+is hit the sooner. A source that comes first to the rear bumper is a pusher; who cuts in comes to the flank first.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from services.planner.footprint import Footprint, PathRisk
+from services.planner.footprint import CORNER, Footprint, PathRisk
 from services.planner.volume import NOBODY, Volume
 
 F32 = npt.NDArray[np.float32]
@@ -22,7 +22,7 @@ Bools = npt.NDArray[np.bool_]
 
 
 def pushers(volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, t: F64, r_hit: float) -> frozenset[int]:
-    """Numbers of the sources that come to the rear of a motion before its front.
+    """Numbers of the sources that come first to the rear bumper of a motion.
 
     Args:
         volume: The volume on the plan's clock.
@@ -42,12 +42,14 @@ def pushers(volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, 
         return frozenset()
     name = volume.who[volume.dominant_at(fx, fy, slices)]
     rear = footprint.rear[: footprint.outline][None]
+    bumper = (footprint.x <= footprint.x[: footprint.outline].min() + 1e-9)[: footprint.outline]
+    bumper &= np.abs(footprint.y[: footprint.outline]) <= footprint.half_width - CORNER
     found = set()
     for k in np.unique(name[touching & rear]):
         mine = touching & (name == k)
         behind, before = (mine & rear).sum(axis=1), (mine & ~rear).sum(axis=1)
         first = int(np.argmax(behind + before > 0))
-        if k != NOBODY and behind[first] > before[first]:
+        if k != NOBODY and behind[first] > before[first] and mine[first, bumper].any():
             found.add(int(k))
     return frozenset(found)
 

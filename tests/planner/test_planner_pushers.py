@@ -51,6 +51,8 @@ def test_a_faster_car_behind_pushes_and_nobody_ahead_or_beside_does(speed: float
         box(25.0, -1.0, 0.5, length=0.5, width=0.5, id=7),
         box(3.0 + 2.0 * speed, -8.0, 0.0, 4.0, heading=np.pi / 2, id=7),
         box(-4.0, 3.5, speed + 4.0, id=7),
+        box(2.0, 4.0, 0.7 * speed, -1.2, id=7),  # who cuts in
+        box(-1.0, 4.0, speed, -1.2, id=7),
     ):
         assert found([other], speed) == set()
 
