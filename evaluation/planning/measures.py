@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from common.messages import FRAME_S
 from evaluation.planning import criteria
 from evaluation.planning.loop import DriveResult
 from evaluation.planning.recorder import Recorder
@@ -80,6 +81,7 @@ def measured(scenario: Scenario, result: DriveResult, record: Recorder, yard: Ya
         "sign_changes_per_min": _sign_changes(felt.acceleration, float(felt.t[-1]) if len(felt.t) else 0.0),
         "interventions": len(result.summary["interventions"]),
         "emergency_share": round(float(found[moving].mean()), 4) if moving.any() else 0.0,
+        "judged_s": round(float(moving.sum()) * FRAME_S, 1),
         "safe_stop_share": round(result.share("safe_stop"), 4),
         "end_reason": result.plans[-1]["reason"] if result.plans else "",
         "end_mode": result.plans[-1]["mode"] if result.plans else "",

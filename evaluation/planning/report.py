@@ -41,7 +41,9 @@ def summary(entries: Entries) -> dict[str, Any]:
         "max_accel_lon_with_emergencies": max((e["with_emergencies"]["max_accel_lon"] for e in good), default=0.0),
         "p95_jerk": round(float(np.average([e["p95_jerk"] for e in good], weights=_weights(good))), 3) if good else 0.0,
         "min_ttc_s": min((e["min_ttc_s"] for e in good if e["min_ttc_s"] is not None), default=None),
-        "emergency_share": _share(sum(e["emergency_share"] * e["duration_s"] for e in good), length),
+        "emergency_share": _share(
+            sum(e["emergency_share"] * e["judged_s"] for e in good), sum(e["judged_s"] for e in good)
+        ),
         "safe_stop_share": _share(sum(e["safe_stop_share"] * e["duration_s"] for e in good), length),
         "cycle_ms_p50": _percentile(cycle, 50),
         "cycle_ms_p99": _percentile(cycle, 99),
