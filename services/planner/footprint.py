@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -55,6 +56,11 @@ class Footprint:
         stay = np.where(self.rear, _NEVER, self.margin)
         whole = np.where(np.arange(len(self.x)) < self.outline, 0.0, _NEVER)
         return np.array([[m, self.ahead, *sides, whole] for m in (stay, self.margin)], dtype=np.float32)
+
+    @cached_property
+    def packed(self) -> Any:
+        """The same for the kernels."""
+        return kernels.pack(self.x, self.y, self.taken, self.outline)
 
     @staticmethod
     def of(ego: Ego, spacing: float, flank_margin: float = 0.0, behind: float = 0.0) -> Footprint:
@@ -134,10 +140,7 @@ def timed_risk(volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F6
         whole = volume.known(fx, fy)[..., : footprint.outline].all(axis=-1)
     else:
         none = np.zeros(len(at[0]), dtype=np.uint8)
-        outline = (footprint.x, footprint.y)
-        _, _, whole, four, _ = kernels.look_up(
-            volume, outline, footprint.taken, footprint.outline, (1e9, 1e9), none, *at, 0, slices
-        )
+        _, _, whole, four, _ = kernels.look_up(volume, footprint.packed, (1e9, 1e9), none, *at, 0, slices)
         risk = four[1, :, 0]
     return risk.astype(np.float64).reshape(np.shape(x)), np.asarray(whole, dtype=bool).reshape(np.shape(x))
 
@@ -159,10 +162,7 @@ def _kernel_look_up(
     heading: F64,
     later: int,
 ) -> _Looked:
-    outline = (footprint.x, footprint.y)
-    found: _Looked = kernels.look_up(
-        volume, outline, footprint.taken, footprint.outline, named, leaves.astype(np.uint8), x, y, heading, later
-    )
+    found: _Looked = kernels.look_up(volume, footprint.packed, named, leaves.astype(np.uint8), x, y, heading, later)
     return found
 
 

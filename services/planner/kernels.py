@@ -8,6 +8,7 @@ building Warp's own array objects would take longer than the kernels do.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -563,11 +564,42 @@ class _Arrays:
         return int(a.__array_interface__["data"][0])
 
 
+@dataclass(frozen=True)
+class Outline:
+    """Samples of a footprint as the kernel wants them: group by group, padded to whole vectors."""
+
+    samples: int
+    x: F64  # [padded] [m]
+    y: F64
+    counts: U8  # whether it must be known [padded]
+    begin: I32  # of each group's samples, the end included [groups + 1]
+    taken: F32  # [2, groups, 8] [E_max]
+
+
+def pack(x: F64, y: F64, taken: F32, outlined: int) -> Outline:
+    """Bring samples together of which the same is taken off.
+
+    Args:
+        x: frame of the rear axle, at most MOST_SAMPLES [m].
+        y: the same.
+        taken: off each sample for each of the four and `risk`, on paths that stay and leave [2, 5, samples] [E_max].
+        outlined: so many of the samples must be known.
+    """
+    columns = taken.reshape(10, -1)
+    order = np.lexsort(columns)
+    ranked = columns[:, order]
+    new = np.flatnonzero((ranked[:, 1:] != ranked[:, :-1]).any(axis=0)) + 1
+    begin = np.concatenate(([0], new, [len(order)])).astype(np.int32)
+    off = np.zeros((2, len(begin) - 1, 8), np.float32)
+    off[..., :5] = taken[..., order[begin[:-1]]].transpose(0, 2, 1)
+    more = (0, -len(order) % 8)
+    counts = np.pad((order < outlined).astype(np.uint8), more)
+    return Outline(len(order), np.pad(x[order], more), np.pad(y[order], more), counts, begin, off)
+
+
 def look_up(
     volume: Volume,
-    outline: tuple[F64, F64],
-    taken: F32,
-    outlined: int,
+    outline: Outline,
     named: tuple[float, float],
     leaves: U8,
     x: F64,
@@ -580,9 +612,7 @@ def look_up(
 
     Args:
         volume: the volume on the plan's clock.
-        outline: samples of the footprint, frame of the rear axle [m], at most MOST_SAMPLES.
-        taken: off each sample for each of the four and `risk`, on paths that stay and leave [2, 5, samples] [E_max].
-        outlined: so many of the samples must be known.
+        outline: the samples of the footprint, from `pack`.
         named: from which risk on the source is told: of a contact, of what is beside [E_max].
         leaves: whether each path leaves where the ego drives [n].
         x: rear axle along n paths of p points, `map` frame [n, p] [m].
@@ -601,8 +631,8 @@ def look_up(
     dominant = volume.risk.dominant
     q.block, q.block_columns = BLOCK, dominant.shape[2]
     q.block_plane = dominant.shape[1] * dominant.shape[2]
-    q.samples, q.later, q.paths, q.points = len(outline[0]), later, n, points
-    q.padded = -(-q.samples // 8) * 8
+    q.samples, q.padded, q.groups = outline.samples, len(outline.x), len(outline.begin) - 1
+    q.later, q.paths, q.points = later, n, points
     q.r_hit, q.r0 = named
     q.timed = int(slice_of is not None)
     q.slice_of = keep.at(np.zeros(1, np.int32) if slice_of is None else slice_of, np.int32)
@@ -613,15 +643,9 @@ def look_up(
     q.x, q.y = keep.at(i, np.float64), keep.at(j, np.float64)
     turn = heading - g.heading
     q.cos, q.sin = keep.at(np.cos(turn) / g.h, np.float64), keep.at(np.sin(turn) / g.h, np.float64)
-    # samples of which the same is taken off are one group
-    order, begin = _groups(taken.reshape(10, -1))
-    more = (0, q.padded - q.samples)
-    q.outline_x, q.outline_y = (keep.at(np.pad(part[order], more), np.float64) for part in outline)
-    q.outline = keep.at(np.pad(order < outlined, more), np.uint8)
-    q.groups, q.begin = len(begin) - 1, keep.at(begin, np.int32)
-    off = np.zeros((2, q.groups, 8), np.float32)
-    off[..., :5] = taken[..., order[begin[:-1]]].transpose(0, 2, 1)
-    q.taken, q.leaves = keep.at(off, np.float32), keep.at(leaves, np.uint8)
+    q.outline_x, q.outline_y = keep.at(outline.x, np.float64), keep.at(outline.y, np.float64)
+    q.outline, q.begin = keep.at(outline.counts, np.uint8), keep.at(outline.begin, np.int32)
+    q.taken, q.leaves = keep.at(outline.taken, np.float32), keep.at(leaves, np.uint8)
     kept = volume.slices if slice_of is None else 1
     risk, four = np.empty((n, kept, points), np.float32), np.empty((4, n, kept, points), np.float32)
     stays, whole = np.empty((n, points), np.float32), np.empty((n, points), np.uint8)
@@ -630,14 +654,6 @@ def look_up(
     q.stays, q.whole, q.who = keep.at(stays, np.float32), keep.at(whole, np.uint8), keep.at(who, np.uint8)
     wp.launch(look_up_kernel, dim=n * -(-points // _CHUNK), inputs=[q], device="cpu")
     return risk, stays, whole.view(np.bool_), four, who
-
-
-def _groups(columns: F32) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """An order that brings equal columns together, and where each group begins in it, the end included."""
-    order = np.lexsort(columns)
-    ranked = columns[:, order]
-    new = np.flatnonzero((ranked[:, 1:] != ranked[:, :-1]).any(axis=0)) + 1
-    return order, np.concatenate(([0], new, [columns.shape[1]]))
 
 
 def law(

@@ -18,16 +18,20 @@ def stopping_tail(
     """The gentlest of the tail's brakes that meets nothing while moving; the hardest if none does."""
     s, v, a = profile.at(settings.valid_for)
     a = min(a, 0.0) if v <= 0.0 else a
-    motions = [brake_motion(settings.valid_for, s, v, a, b, max(3.0 * b, 4.0)) for b in settings.tail_brakes]
+
+    def braking(brake: float) -> Motion:
+        return brake_motion(settings.valid_for, s, v, a, brake, max(3.0 * brake, 4.0))
+
+    *gentler, hardest = settings.tail_brakes
     if volume is None or v <= 0.0:
-        return motions[0]
+        return braking(settings.tail_brakes[0])
     x, y, heading, _ = path.at(profile.distance[:1])
     risk = float(timed_risk(volume, footprint, x, y, heading, profile.t[:1])[0][0])
     bound = contact_bound(risk, settings)
-    for motion in motions[:-1]:
+    for motion in map(braking, gentler):
         if first_contact(path, motion, volume, footprint, bound) is None:
             return motion
-    return motions[-1]
+    return braking(hardest)
 
 
 def first_contact(
