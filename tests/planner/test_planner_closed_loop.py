@@ -11,6 +11,8 @@ from common.messages import Goal, Map, Route
 from services.planner.settings import PlannerSettings
 from tests.planner.worlds import Drive, barrier, box, drive, ego_at, lane, straight_route
 
+pytestmark = pytest.mark.long
+
 FEW = PlannerSettings(offsets=(0.0, 0.6, -0.6, 1.4, -1.4, 2.4, -2.4), lengths=((9.0, 2.2), (24.0, 5.0)))
 ROAD = Map(lanes=[lane(1, 0)])
 

@@ -11,6 +11,8 @@ from services.planner.reference import ReferenceLine
 from services.planner.settings import PlannerSettings
 from tests.planner.worlds import box, drive, ego_at, lane
 
+pytestmark = pytest.mark.long
+
 FEW = PlannerSettings(offsets=(0.0, 0.6, -0.6), lengths=((9.0, 2.2), (24.0, 5.0)))
 
 

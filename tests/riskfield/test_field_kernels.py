@@ -114,6 +114,7 @@ def check_dominant(r, shares, ref, seed):
         assert np.any(best[near_top] >= largest[near_top] - 1e-4), f"seed {seed}: block {j, bi, bj}: {r.slots[slot]}"
 
 
+@pytest.mark.long
 def test_kernels_equal_the_reference_on_random_scenes(field, risk):
     check_exact(field, risk, range(200))
 
@@ -218,6 +219,7 @@ def test_the_printed_kinetic_term_is_computed_too():
         assert np.mean(np.abs(r.volume - ref) > 1e-4 * (1 + ref)) < 1e-3
 
 
+@pytest.mark.long
 def test_the_kernels_compile_for_cuda_without_a_gpu(tmp_path):
     import warp as wp
 
