@@ -180,7 +180,10 @@ SHARES = (
 
 def markdown(result: dict[str, Any]) -> str:
     """The summary as a table for a document, and every drive that went wrong, with why."""
-    shown = [k for k in HEAD if any(s.get(k) not in (None, 0) for s in result["summary"].values()) or k in PROMISED]
+    found = result["summary"].values()
+    shown = [k for k in HEAD if any(s.get(k) not in (None, 0) for s in found) or k in PROMISED]
+    if not any(s["driven_km"] >= ENOUGH_KM or s["efficiency_sumo"] for s in found):
+        shown = [k for k in shown if k != "at_fault_per_1000_km_bound"]
     lines = [f"`{result['command']}`", "", f"| planner | {' | '.join(HEAD[k] for k in shown)} |"]
     lines.append(f"|---{'|---:' * len(shown)}|")
     for planner, s in result["summary"].items():
@@ -197,6 +200,8 @@ def markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+ENOUGH_KM = 20.0
+"""Over fewer kilometres a rate per 1000 says nothing."""
 PROMISED = ("n", "collisions", "collisions_at_fault", "goal_rate", "off_road")
 
 STYLE = (
