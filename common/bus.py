@@ -37,6 +37,9 @@ from common.topics import VERSION_MAJOR, VERSION_MINOR, Delivery, Topic, alive_k
 
 log = logging.getLogger("forefield.bus")
 
+OLDEST_NS = 2**61
+"""No age is counted beyond this [ns]: what is told of a latched message must fit into headers again."""
+
 
 class NoRouterError(Exception):
     """The router was not reached before the caller stopped waiting."""
@@ -120,7 +123,8 @@ class Inbox:
             raise RefusedError("too_large", f"{len(sample.payload)} bytes, at most {self.topic.max_bytes}")
         header = codec.decode_header(self.topic, None if attachment is None else attachment.to_bytes())
         self._order.check(header)
-        age_ns = header.age_ns + self._transit.excess_ns(header.source, header.boot, header.sent_ns, received_ns)
+        excess_ns = self._transit.excess_ns(header.source, header.boot, header.sent_ns, received_ns)
+        age_ns = min(header.age_ns + excess_ns, OLDEST_NS)
         capture_ns = received_ns - age_ns
         limit = self.topic.max_age_s
         # who keeps several wants each as it came; who keeps one wants it now

@@ -15,7 +15,7 @@ from common import messages
 KIB = 1024
 MIB = 1024 * KIB
 VERSION_MAJOR = 1
-VERSION_MINOR = 0
+VERSION_MINOR = 1  # 1.1: headers name what a step had before it (`step`)
 
 
 class Delivery(Enum):

@@ -36,19 +36,18 @@ def build(tree: config.Tree, health: Health) -> Step:
             return Idle("no fresh prediction: is the predictor running and are objects published?")
         if ego is None:
             return Idle("no fresh ego: is the vehicle publishing it?")
+        if world is None:  # unknown is not "no barriers"
+            return Idle("no map yet (topic `map`; to drive without one, publish an empty map)")
         renewed = (prediction.boot, prediction.seq) != used
-        used = (prediction.boot, prediction.seq)
         # predictor silent: the last prediction's field, shifted in time, until it is too old to be fresh
         t_offset = 0.0 if renewed else prediction.age_s(inputs.now_ns)
         try:
-            risk = core.step(
-                prediction, ego, None if world is None else world.value,
-                None if closures is None else closures.value, t_offset,
-            )  # fmt: skip
+            risk = core.step(prediction, ego, world.value, None if closures is None else closures.value, t_offset)
         except RuntimeError as e:
             if core.device != "cpu":
                 raise FatalError(f"the GPU failed: {e}") from e
             raise
+        used = (prediction.boot, prediction.seq)  # not before: a step that failed has used nothing
         return Output(
             risk, prediction.capture_ns, prediction.cause, prediction.received_ns if renewed else inputs.now_ns,
             *(("ready", "running") if renewed else ("degraded", "predictor silent: old prediction shifted in time")),

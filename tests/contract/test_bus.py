@@ -178,6 +178,24 @@ def test_what_cannot_be_used_is_refused_under_its_name_and_harms_nothing(
     assert good is not None and good.value.x == 5.0
 
 
+def test_a_latched_message_of_any_age_leaves_no_age_that_headers_cannot_tell(
+    pair: tuple[Bus, Bus], endpoint: str
+) -> None:
+    _, receiver = pair
+    inbox = receiver.inbox(topics.MAP)
+    payload, _ = codec.encode_body(topics.MAP, samples.world())
+    for n, sent_ns in enumerate([2**62, -(2**62)], start=1):  # the second seems to have travelled for centuries
+        head = header(topics.MAP, seq=n, capture_ns=0, sent_ns=sent_ns, age_ns=2**62, cause=None)
+        raw_put(endpoint, topics.MAP, payload, codec.encode_header(topics.MAP, head))
+        received(inbox, n)
+        map_ = inbox.take()
+        assert map_ is not None
+        now = monotonic()
+        used = m.StepInputs(now, [m.Used("map", map_.boot, map_.seq, map_.capture_ns, True)])
+        told = header(topics.PLAN, capture_ns=map_.capture_ns, age_ns=now - map_.capture_ns, step=used)
+        assert codec.decode_header(topics.PLAN, codec.encode_header(topics.PLAN, told)).step == used
+
+
 def test_a_repeated_message_is_used_once(pair: tuple[Bus, Bus], endpoint: str) -> None:
     _, receiver = pair
     inbox = receiver.inbox(topics.EGO)
