@@ -54,7 +54,7 @@ class Tier:
     gain: float  # of the speed controller, times tau
     most: float  # highest target speed: this times the speed now …
     lateral: float  # [m/s²]
-    crawl: float = 0.0  # … or this [m/s]
+    crawl: float = 0.0  # … or the speed now, up to this [m/s]
     swept: bool = False  # whether what comes over the ego even if it stands is let be
 
     @staticmethod
@@ -70,7 +70,7 @@ class Tier:
             Tier(0, brake[0], jerk[0], True, 1.0, np.inf, lateral[0]),
             Tier(1, brake[1], jerk[1], True, 0.6, 1.0, lateral[1]),
             Tier(2, brake[1], jerk[1], False, 0.6, 0.9, lateral[1], crawl),
-            Tier(3, 0.5 * (brake[0] + brake[1]), jerk[1], False, 0.6, 0.8, lateral[1], crawl, swept=True),
+            Tier(3, 0.5 * (brake[0] + brake[1]), jerk[1], False, 0.6, 0.8, lateral[1], swept=True),
             Tier(4, brake[2], jerk[2], False, 0.4, 0.8, lateral[2]),
             Tier(5, brake[3], jerk[3], False, 0.3, 0.6, lateral[3]),
         )

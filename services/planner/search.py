@@ -96,7 +96,7 @@ def full_brake(field: Field, start: Start, settings: PlannerSettings) -> tuple[i
 def _highest(field: Field, start: Start, path: Ints, holds: F64, tier: Tier, settings: PlannerSettings) -> Verdict:
     """The highest target speed that passes on each path with its hold, both [n]."""
     n = len(path)
-    most = max(tier.most * start.speed, tier.crawl) if np.isfinite(tier.most) else np.inf
+    most = max(tier.most * start.speed, min(start.speed, tier.crawl)) if np.isfinite(tier.most) else np.inf
     s_max = np.minimum(field.s_max[path], most)
     low, high = np.full(n, -1.0), np.full(n, 1.0)  # shares of s_max: highest passed, next that fails
     zero = np.zeros(n)

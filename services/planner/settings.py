@@ -62,7 +62,7 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     tier_brake: tuple[float, float, float, float] = (1.45, 3.0, 5.0, 8.0)  # [m/s²]
     tier_jerk: tuple[float, float, float, float] = (1.45, 4.0, 12.0, 30.0)  # [m/s³]
     tier_lateral: tuple[float, float, float, float] = (1.15, 2.0, 3.5, 4.5)  # largest lateral acceleration [m/s²]
-    crawl: NotNegative = 1.5  # whoever is beside, so fast may be gone on [m/s]
+    crawl: NotNegative = 1.5  # whoever is beside, up to this speed it may be kept [m/s]
     release_jerk: Positive = 10.0  # letting go of a brake harder than comfort [m/s³]
     hold_s: Positive = 1.5  # how long the target is held before the checked stop [s]
     horizon_s: Positive = 6.0  # [s]
