@@ -72,13 +72,18 @@ class Pieces:
     def begin(self) -> Path:
         """Make room and name the next piece.
 
+        The newest piece stays, since it may still be written; so the budget is never a reason to fail here: whatever
+        the next piece takes beyond it is made room for as it grows, when the one before it is finished.
+
         Raises:
-            NoRoomError: there is no room even after every older piece was removed.
+            NoRoomError: too little of the disk is free, or what is in the way cannot be removed.
             OSError: the folder cannot be read or made.
         """
         if self._folder:
             self.folder.mkdir(parents=True, exist_ok=True)
-        self.make_room(coming=self.limits.piece_bytes)
+        newest = self._newest()
+        self._keep_budget(newest, coming=self.limits.piece_bytes)
+        self._keep_reserve(newest)
         self._count += 1
         if self._folder:
             path = self.folder / f"{self._prefix}-{self._count:04d}.rrd"
@@ -116,42 +121,69 @@ class Pieces:
             return []
         return sorted(found, key=_order)
 
-    def make_room(self, current: Path | None = None, coming: int = 0) -> list[Path]:
+    def make_room(self, current: Path | None = None) -> list[Path]:
         """Remove the oldest pieces until budget and reserve are kept; returns what was removed.
 
         Args:
             current: the piece being written; it is never removed.
-            coming: bytes that are about to be written.
 
         Raises:
-            NoRoomError: nothing is left to remove.
+            NoRoomError: what may be removed does not suffice.
         """
+        removed = self._keep_budget(current)
+        if why := self._over_budget(0):
+            raise NoRoomError(why)
+        return removed + self._keep_reserve(current)
+
+    def _newest(self) -> Path | None:
+        written = [path for path in self._written if path.is_file()]
+        return next(reversed(written or self.kept()), None)
+
+    def _keep_budget(self, current: Path | None, coming: int = 0) -> list[Path]:
+        """Remove what may be removed until the budget is kept, with `coming` more bytes, or nothing is left."""
         removed = []
-        while why := self._lacking(coming):
-            oldest = next((path for path in self.kept() if path != current), None)
-            if oldest is None:
-                raise NoRoomError(why)
-            try:
-                oldest.unlink(missing_ok=True)
-            except OSError as e:
-                raise NoRoomError(f"{why}, and {oldest.name} cannot be removed: {e.strerror}") from None
+        while (why := self._over_budget(coming)) and (oldest := self._oldest(current)):
+            self._remove(oldest, why)
             removed.append(oldest)
-            if oldest in self._written:
-                self._written.remove(oldest)
         return removed
 
-    def _lacking(self, coming: int) -> str:
-        """What is too little; empty: there is room."""
-        limits = self.limits
-        kept = self.kept()
-        if limits.budget_bytes and kept:
-            used = sum(size(path) for path in kept)
-            if used + min(coming, limits.budget_bytes) > limits.budget_bytes:
-                return f"{used / MIB:.0f} MiB recorded, the budget is {limits.budget_bytes / MIB:.0f} MiB"
-        free = _free(self.folder)
-        if free < limits.reserve_bytes:
-            return f"{free / MIB:.0f} MiB free, {limits.reserve_bytes / MIB:.0f} MiB are to stay so (viz.reserve_mib)"
-        return ""
+    def _keep_reserve(self, current: Path | None) -> list[Path]:
+        """Remove the oldest until the reserve is free; nothing is sacrificed that does not help.
+
+        Raises:
+            NoRoomError: all that may be removed is too little, or removing one freed nothing.
+        """
+        removed = []
+        while (free := _free(self.folder)) < (reserve := self.limits.reserve_bytes):
+            why = f"{free / MIB:.0f} MiB free, {reserve / MIB:.0f} MiB are to stay so (viz.reserve_mib)"
+            removable = sum(size(path) for path in self.kept() if path != current)
+            oldest = self._oldest(current)
+            if oldest is None or free + removable < reserve:
+                raise NoRoomError(why)
+            self._remove(oldest, why)
+            removed.append(oldest)
+            if _free(self.folder) <= free:  # still open somewhere, or others take what is freed
+                raise NoRoomError(f"{why}, and removing {oldest.name} freed nothing")
+        return removed
+
+    def _oldest(self, current: Path | None) -> Path | None:
+        return next((path for path in self.kept() if path != current), None)
+
+    def _remove(self, path: Path, why: str) -> None:
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as e:
+            raise NoRoomError(f"{why}, and {path.name} cannot be removed: {e.strerror}") from None
+        if path in self._written:
+            self._written.remove(path)
+
+    def _over_budget(self, coming: int) -> str:
+        """How the budget is exceeded with `coming` more bytes; empty: it is kept."""
+        budget = self.limits.budget_bytes
+        used = sum(size(path) for path in self.kept()) if budget else 0
+        if not used or used + min(coming, budget) <= budget:
+            return ""
+        return f"{used / MIB:.0f} MiB recorded, the budget is {budget / MIB:.0f} MiB"
 
 
 def _order(path: Path) -> tuple[str, int]:

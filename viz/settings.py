@@ -25,13 +25,15 @@ class VizSettings(Settings, frozen=True):
     server_memory: str = "256MiB"
     """What the server keeps for a viewer that joins late; the oldest is dropped first."""
     rotate_mib: Annotated[float, Meta(ge=0.0)] = 1024.0
-    """A piece of this size is finished and the next begun [MiB]; 0: any size. A piece is complete by itself."""
+    """A piece of this size is finished and the next begun [MiB]; 0: half the budget. A piece is complete by itself."""
     rotate_minutes: Annotated[float, Meta(ge=0.0)] = 15.0
     """So is a piece of this age [min]; 0: any age."""
     budget_mib: Annotated[float, Meta(ge=0.0)] = 20480.0
-    """All pieces together take no more; the oldest is removed first [MiB]. An hour takes some 4 GiB. 0: no budget."""
+    """All pieces together take no more; the oldest is removed first [MiB]. An hour takes some 4 GiB. At least twice
+    `rotate_mib`, since one finished piece stays while the next is written. 0: no budget."""
     reserve_mib: Annotated[float, Meta(ge=0.0)] = 256.0
-    """This much of the disk is left free, whoever fills it [MiB]: the oldest pieces go, then recording pauses."""
+    """This much of the disk is left free, whoever fills it [MiB]: the oldest pieces go if that suffices, otherwise
+    recording pauses."""
     footer: bool = True
     """Finish the file with an index when it is closed. It costs memory while recording; without it a file still opens,
     and `rerun rrd optimize IN -o OUT` adds it afterwards."""
@@ -65,3 +67,16 @@ class VizSettings(Settings, frozen=True):
     """The same, slowing down [m/s²]."""
     comfort_jerk: Positive = 1.5
     """The same for jerk [m/s³]."""
+
+    def __post_init__(self) -> None:
+        """Check what two settings say together.
+
+        Raises:
+            ValueError: the budget has no room for two pieces.
+        """
+        if self.budget_mib and self.budget_mib < 2.0 * self.rotate_mib:
+            raise ValueError(
+                f"viz.budget_mib is {self.budget_mib:g}, less than two pieces of viz.rotate_mib {self.rotate_mib:g}: "
+                f"nothing finished could be kept; raise it to {2.0 * self.rotate_mib:g}, or set "
+                f"viz.rotate_mib={self.budget_mib / 2.0:g}"
+            )

@@ -124,7 +124,7 @@ def _pieces(settings: VizSettings) -> Pieces:
     if not path.is_dir() and not parent.is_dir():
         raise SinkError(f"viz.record: {parent}: no such folder; create it or record elsewhere")
     limits = Limits(
-        round(settings.rotate_mib * MIB),
+        round((settings.rotate_mib or settings.budget_mib / 2.0) * MIB),
         settings.rotate_minutes * 60.0,
         round(settings.budget_mib * MIB),
         round(settings.reserve_mib * MIB),
