@@ -190,7 +190,7 @@ def _behind(log: BusLog, memory: _Memory, show: Callable[[int], None]) -> Iterat
 def _repeat(it: _Repeater, message: Recorded, memory: _Memory, same_machine: bool) -> None:
     header, checked = message.header(), it.checked
     if header.step is None:
-        _skip(checked, "it does not name what its step had: a replay, or recorded before version 0.2")
+        _skip(checked, "its header has no `step`, which names what its step had: a replay, or an older sender")
         return
     if (header.boot, header.seq) != (it.boot, it.seq + 1):
         if it.boot != header.boot and it.boot:  # the service was started again, and so is this one
