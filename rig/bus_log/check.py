@@ -208,7 +208,12 @@ def _repeat(it: _Repeater, message: Recorded, memory: _Memory, same_machine: boo
     except RefusedError as e:
         _skip(checked, f"cannot be read: {e}")
         return
-    result = it.step(inputs)
+    try:
+        result = it.step(inputs)
+    except Exception as e:  # a service's step must not raise, whatever came before it
+        checked.compared += 1
+        _differs(checked, header.seq, Difference(message.topic.suffix, "a message", f"{type(e).__name__}: {e}"))
+        return
     if it.settled is None or it.settled < 0:
         it.settled = None if it.settled is None else it.settled + 1
         if it.settled is None and isinstance(recorded, Plan) and recorded.mode == "waiting":
@@ -221,8 +226,12 @@ def _repeat(it: _Repeater, message: Recorded, memory: _Memory, same_machine: boo
     else:
         found = Difference(message.topic.suffix, "a message", f"nothing: {result.reason}")
     if found is not None:
-        checked.different += 1
-        checked.first = checked.first or (header.seq, found)
+        _differs(checked, header.seq, found)
+
+
+def _differs(checked: Checked, seq: int, found: Difference) -> None:
+    checked.different += 1
+    checked.first = checked.first or (seq, found)
 
 
 def _inputs(service: Service, step: StepInputs, memory: _Memory) -> Inputs:

@@ -6,6 +6,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import msgpack
@@ -309,3 +310,24 @@ def test_a_recording_that_begins_late_is_compared_from_where_it_can_be(tmp_path)
     assert result.skipped > 0 and "state is unknown" in result.why_skipped
     assert result.compared + result.skipped == whole.compared - 1
     assert json.dumps(log.machine)
+
+
+def test_a_step_that_raises_is_a_difference_told_by_name(monkeypatch):
+    pytest.importorskip("torch")
+    from rig import configuration
+    from services.predictor import __main__ as predictor
+
+    def build(*_):
+        def step(_):
+            raise ZeroDivisionError("no road\nat all")
+
+        return step
+
+    monkeypatch.setattr(predictor, "SERVICE", replace(predictor.SERVICE, build=build))
+    log = BusLog.open(Path(__file__).with_name("reference_drive.mcap"))
+    (result,) = check(log, configuration.resolve(log.configuration), same_machine=True, services=("predictor",))
+    assert result.first is not None and not result.is_good
+    seq, found = result.first
+    assert (seq, found.field, found.recorded) == (0, "prediction", "a message")
+    assert found.repeated == "ZeroDivisionError: no road\nat all"
+    assert result.different == result.compared > 1
