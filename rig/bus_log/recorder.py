@@ -45,8 +45,7 @@ class Recorder:
     def __init__(
         self, bus: Bus, topics: Sequence[Topic], path: Path, tree: Tree, *, reserve_bytes: int = RESERVE_BYTES
     ) -> None:
-        self.dropped: Counter[str] = Counter()
-        """Messages that are not in the file, by topic."""
+        self._dropped: Counter[str] = Counter()
         self.written: Counter[str] = Counter()
         self.trouble = ""
         """Why nothing is written now; empty: it is."""
@@ -76,15 +75,21 @@ class Recorder:
 
     def hear(self, message: Raw) -> None:
         """Take a message, or count it as dropped; called from the bus' threads."""
-        size = len(message.payload)
+        size = _bytes(message)
         with self._lock:
             fits = self._waiting + size <= QUEUE_BYTES
             if fits:
                 self._waiting += size
-            else:
-                self.dropped[message.topic.suffix] += 1
         if fits:
             self._queue.put(message)
+        else:
+            self._drop(message)
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """Messages that are not in the file, by topic."""
+        with self._lock:
+            return Counter(self._dropped)
 
     @property
     def size(self) -> int:
@@ -123,9 +128,9 @@ class Recorder:
                 if message is None:
                     return
                 with self._lock:
-                    self._waiting -= len(message.payload)
+                    self._waiting -= _bytes(message)
                 if self._broken or not self._has_room():
-                    self.dropped[message.topic.suffix] += 1
+                    self._drop(message)
                 else:
                     self._put(message)
             except queue.Empty:
@@ -143,8 +148,12 @@ class Recorder:
             self.written[suffix] += 1
             self._say("")
         except OSError as e:
-            self.dropped[suffix] += 1
+            self._drop(message)
             self._break(e)
+
+    def _drop(self, message: Raw) -> None:
+        with self._lock:  # the bus' threads count too
+            self._dropped[message.topic.suffix] += 1
 
     def _flush(self) -> None:
         if not self._broken:
@@ -170,6 +179,10 @@ class Recorder:
         if trouble != self.trouble and trouble:
             log.warning("not recording: %s", trouble)
         self.trouble = trouble
+
+
+def _bytes(message: Raw) -> int:
+    return len(message.payload) + len(message.attachment or b"")
 
 
 def _sequence(message: Raw) -> int:

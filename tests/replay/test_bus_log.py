@@ -251,6 +251,38 @@ def test_what_does_not_fit_into_the_queue_is_dropped_and_counted(endpoint, tmp_p
     assert BusLog.open(tmp_path / "a.mcap").dropped == {"ego": 1}
 
 
+def test_what_waits_is_bounded_headers_and_all(endpoint, tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder_module, "QUEUE_BYTES", 1000)
+    with bus_of(endpoint, "a", "headers") as bus, Recorder(bus, (topics.EGO,), tmp_path / "a.mcap", {}) as recorder:
+        recorder.hear(Raw(topics.EGO, bytes(1001), b"", "", monotonic()))
+        assert recorder.dropped == {"ego": 1}
+        for k in range(1, 4):  # and what was written makes room again
+            recorder.hear(Raw(topics.EGO, bytes(600), bytes(300), "", monotonic()))
+            until(lambda k=k: recorder.written["ego"] == k, what="a message")
+    assert recorder.dropped == {"ego": 1}
+
+
+class SlowCounter(Counter[str]):
+    """Where two threads count without a lock, both read before either writes."""
+
+    def __getitem__(self, name: str) -> int:
+        n = super().__getitem__(name)
+        time.sleep(0.0005)
+        return n
+
+
+def test_drops_are_counted_exactly_whichever_thread_drops(endpoint, tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder_module, "QUEUE_BYTES", 1000)
+    monkeypatch.setattr(recorder_module, "Counter", SlowCounter)
+    large, small = (Raw(topics.EGO, b"", bytes(n), "", monotonic()) for n in (1001, 1))
+    with bus_of(endpoint, "a", "drops") as bus:
+        with Recorder(bus, (topics.EGO,), tmp_path / "a.mcap", {}, reserve_bytes=2**62) as recorder:
+            for _ in range(100):
+                recorder.hear(small)  # dropped by the writing thread: there is no room
+                recorder.hear(large)  # dropped here
+        assert recorder.dropped == {"ego": 200}
+
+
 def test_without_room_the_recording_pauses_and_says_so(endpoint, tmp_path):
     with bus_of(endpoint, "a", "room") as bus:
         recorder = Recorder(bus, (topics.EGO,), tmp_path / "a.mcap", {}, reserve_bytes=2**62)
