@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -82,3 +84,44 @@ def test_what_is_remembered_is_bounded():
         time.begin(message(100 * n, seq=n))
     assert time.since_objects_ms(Cause("boot", 0), START) is None
     assert time.since_objects_ms(Cause("boot", 1999), START + 10**12) is not None
+
+
+def test_a_drive_of_any_length_costs_no_more_memory_and_its_frames_are_counted_on():
+    time = RunTime()
+    time.begin(message(0))
+    before = size_of(time)
+    for n in range(1, 3000):
+        assert time.begin(message(100 * n, seq=n)).frame == n
+        if n == 1000:
+            before = size_of(time)
+    assert size_of(time) <= before * 1.1
+    last = time.at(START + 299_950 * MS)
+    assert last.frame == 2999 and abs(last.t - 299.95) < 1e-6
+    assert time.at(START + 290_050 * MS).frame == 2900  # late by more than any topic allows
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.integers(1, 3000), min_size=1, max_size=8), st.integers(1, 400))
+def test_a_long_silence_is_as_many_frames_as_many_short_ones(gaps, step):
+    once, often = RunTime(), RunTime()
+    now = 0
+    for seq, gap in enumerate(gaps):
+        assert once.begin(message(100 * now, seq=seq)) == often.begin(message(100 * now, seq=seq))
+        for short in range(now, now + gap, step):
+            often.at(START + short * 100 * MS)
+        now += gap
+        at = START + (now * 100 - 30) * MS
+        assert once.at(at) == often.at(at)
+
+
+def test_a_silence_of_a_month_is_placed_at_once():
+    time = RunTime()
+    time.begin(message(0))
+    month_s = 30 * 86400
+    assert time.at(START + month_s * 1000 * MS).frame == month_s * 10 - 1
+    assert size_of(time) < 100_000
+
+
+def size_of(time: RunTime) -> int:
+    """What it holds, written out [bytes]."""
+    return len(pickle.dumps(vars(time)))
