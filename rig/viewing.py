@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import socket
 import sys
 from collections.abc import Sequence
@@ -47,7 +48,7 @@ def viewing(files: Sequence[Path], *, live: bool, connect: str, web: bool, port:
     for file in files:
         if not file.is_file():
             raise ConfigError(f"{file}: no such recording; `forefield run --scenario demo --record {file}` makes one")
-    rerun = [sys.executable, "-m", "rerun"]
+    rerun = viewer()
     if live:
         source = _reached(connect)
         if not web:
@@ -59,6 +60,21 @@ def viewing(files: Sequence[Path], *, live: bool, connect: str, web: bool, port:
     port, data = port or free_port(), free_port()
     source = f"rerun+http://127.0.0.1:{data}/proxy"
     return Viewing([*rerun, *_web(port), "--port", str(data), *map(str, files)], _url(port, source))
+
+
+def viewer() -> list[str]:
+    """The viewer's command.
+
+    The program itself where the package has it: its Python launcher would run it as a child, which outlives a launcher
+    that is ended by SIGTERM or SIGKILL.
+    """
+    chosen = os.environ.get("RERUN_CLI_PATH", "")  # as the launcher does
+    package = importlib.util.find_spec("rerun_cli")
+    bundled = None if package is None or package.origin is None else Path(package.origin).with_name("rerun")
+    for program in (chosen, bundled):
+        if program and Path(program).is_file():
+            return [str(program)]
+    return [sys.executable, "-m", "rerun"]
 
 
 def _web(port: int) -> list[str]:

@@ -18,9 +18,11 @@ import pytest
 pytest.importorskip("rerun")
 
 import rerun as rr
+import rerun_cli
 from rerun.chunk import RrdReader
 
 from tests.viz import synthetic
+from tests.viz.processes import group
 from tests.viz.reading import rows
 from tests.waiting import until
 from viz import outlet
@@ -29,7 +31,7 @@ from viz.scene import Scene
 from viz.settings import VizSettings
 from viz.sinks import Recorder, recording
 
-RERUN = Path(sys.executable).with_name("rerun")
+RERUN = Path(rerun_cli.__file__).with_name("rerun")  # the program itself: its launcher would leave it behind
 SMALL = {"rows": 64, "columns": 32, "h": 1.25}
 NOISE = np.random.default_rng(0).integers(0, 255, (200, 1000), dtype=np.uint8)
 
@@ -252,11 +254,8 @@ def test_a_viewer_that_is_frozen_slows_nothing(tmp_path):
     port, path = free_port(), tmp_path / "a.rrd"
     s = VizSettings(record=str(path), serve=port, server_memory="8MiB", flush_s=0.05, live_flush_s=0.05)
     with recording(s, "", blueprint()) as recorder:
-        saver = subprocess.Popen(
-            [RERUN, f"rerun+http://127.0.0.1:{port}/proxy", "--save", str(tmp_path / "viewer.rrd")],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        try:
+        copying = [RERUN, f"rerun+http://127.0.0.1:{port}/proxy", "--save", tmp_path / "viewer.rrd"]
+        with group(copying) as saver:
             n = 0
 
             def seen() -> bool:
@@ -267,7 +266,7 @@ def test_a_viewer_that_is_frozen_slows_nothing(tmp_path):
                 return copy.exists() and copy.stat().st_size > 2**20
 
             until(seen, every_s=0.05, within_s=60, what="the viewer's copy")
-            _signal_all(saver.pid, signal.SIGSTOP)
+            os.killpg(saver.pid, signal.SIGSTOP)
             worst, bytes_before = 0.0, path.stat().st_size
             for _ in range(800):  # 160 MB
                 began = time.monotonic()
@@ -278,14 +277,3 @@ def test_a_viewer_that_is_frozen_slows_nothing(tmp_path):
             assert worst < 5.0
             until(lambda: path.stat().st_size - bytes_before > 120 * 2**20, within_s=60, what="the file")
             assert recorder.dropped["recording"] == 0
-        finally:
-            _signal_all(saver.pid, signal.SIGCONT)
-            _signal_all(saver.pid, signal.SIGKILL)
-            saver.wait()
-
-
-def _signal_all(pid: int, number: int) -> None:
-    """The `rerun` command is a script with the viewer as its child."""
-    below = [int(c) for task in Path(f"/proc/{pid}/task").iterdir() for c in (task / "children").read_text().split()]
-    for each in (*below, pid):
-        os.kill(each, number)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
 import socket
 import subprocess
 import sys
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import parse_qs, urlparse
 
@@ -18,6 +21,7 @@ from common.bus import free_port
 from common.config import ConfigError
 from rig.viewing import viewing
 from tests.viz import synthetic
+from tests.viz.processes import group, remains
 from tests.viz.reading import record
 from tests.waiting import until
 from viz.blueprint import blueprint
@@ -63,13 +67,12 @@ def test_pieces_of_a_drive_are_shown_together(tmp_path):
     assert shown.command[-2:] == [str(p) for p in pieces] and not shown.url
 
 
-def served(*arguments: str) -> tuple[subprocess.Popen[str], str]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "rig.command", "view", *arguments], cwd=ROOT, text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    assert process.stdout is not None
-    return process, until(process.stdout.readline, within_s=60, what="an address").strip()
+@contextlib.contextmanager
+def served(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`forefield view` and the address it prints; whatever happens to the test, nothing of it stays."""
+    with group([sys.executable, "-m", "rig.command", "view", *arguments], cwd=ROOT, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        yield process, until(process.stdout.readline, within_s=60, what="an address").strip()
 
 
 @pytest.mark.parametrize("live", [False, True])
@@ -81,8 +84,7 @@ def test_the_web_viewer_is_served_on_loopback_with_an_address_that_finds_the_dat
         arguments = (
             ["--live", "--connect", f"127.0.0.1:{port}"] if live else [str(record(tmp_path / "a.rrd", drive, 2))]
         )
-        process, url = served("--web", *arguments)
-        try:
+        with served("--web", *arguments) as (_, url):
             where = urlparse(url)
             assert where.hostname == "127.0.0.1" and where.port is not None
             until(lambda: answers(where.port), within_s=60, every_s=0.1, what="the web server")
@@ -92,6 +94,17 @@ def test_the_web_viewer_is_served_on_loopback_with_an_address_that_finds_the_dat
             assert data.path == "/proxy" and data.port is not None
             until(lambda: answers(data.port), within_s=60, every_s=0.1, what="the data")
             assert (data.port == port) is live
-        finally:
-            process.kill()
-            process.wait()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_whatever_ends_the_command_ends_its_viewer_too(tmp_path, number):
+    drive = record(tmp_path / "a.rrd", synthetic.Drive(rows=64, columns=32, h=1.25), 2)
+    with served("--web", str(drive)) as (process, url):
+        port = urlparse(url).port
+        assert port is not None
+        until(lambda: answers(port), within_s=60, every_s=0.1, what="the web server")
+        assert remains(process)
+        process.send_signal(number)
+        assert process.wait(60) == -number
+        until(lambda: not remains(process), what="the end of all of it")
+        assert not answers(port)
