@@ -22,7 +22,7 @@ from services.planner.footprint import Footprint, PathRisk, path_risk
 from services.planner.lanes import RouteLanes
 from services.planner.pushers import pushers, without
 from services.planner.reference import ReferenceLine
-from services.planner.rollout import DT, FAILURES, Field, Rollouts, Tier, roll_out
+from services.planner.rollout import DT, FAILURES, Field, Rollouts, Tier, hardest_brake, roll_out
 from services.planner.search import REFERENCE, full_brake, lane_centre_distance, path_cost, search, track_name
 from services.planner.settings import PlannerSettings
 from services.planner.speed import CAUSES, Cap, brake_before, curve_speed, stop_at
@@ -80,7 +80,10 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     previous = scene.memory.target_name if scene.memory is not None else ""
     look = _sample(scene, settings)
     start, paths = scene.start, look.paths
-    field = Field.of(look.risk, scene.volume, look.cap, paths.end, look.s_max, paths.step, settings, paths.curvature)
+    field = Field.of(
+        look.risk, scene.volume, look.cap, paths.end, look.s_max, paths.step, settings, paths.curvature,
+        hardest_brake(start, settings),
+    )  # fmt: skip
     committed = np.arange(len(paths.target)) >= look.fresh
     cost = path_cost(paths, scene.road.lanes, look.footprint.half_width, previous, committed, settings)
     verdict = search(field, start, settings, cost, lambda rest: lane_centre_distance(paths, scene.road.lanes, rest))

@@ -29,6 +29,7 @@ from services.planner.contact import Contact
 from services.planner.footprint import PathRisk
 from services.planner.settings import PlannerSettings
 from services.planner.speed import FAR, Cap, contact_distance
+from services.planner.trajectory import Motion, brake_motion
 from services.planner.volume import Volume
 
 F64 = npt.NDArray[np.float64]
@@ -94,7 +95,7 @@ class Field:
     end: F64  # length that can be steered; FAR if all of it [n] [m]
     s_max: F64  # highest wanted speed at the start of each path [n] [m/s]
     gap: float  # [m]
-    swept: float = np.inf  # when something comes over where the ego is now [s]
+    swept: float = np.inf  # from when on contact is no brake's to prevent [s]
 
     @staticmethod
     def of(
@@ -106,8 +107,12 @@ class Field:
         step: float,
         settings: PlannerSettings,
         curvature: F64 | None = None,
+        hardest: Motion | None = None,
     ) -> Field:
-        """Contact moves within a slice if it is the same source's in the next; the speed law reads M_j and M_j+1."""
+        """Put together what rollouts are checked against; `hardest` brakes as hard as can be, None: the ego stands.
+
+        Contact moves within a slice if it is the same source's in the next; the speed law reads M_j and M_j+1.
+        """
         touch = risk.risk if risk.contact is None else risk.contact
         who = risk.who
         contact = Contact.of(touch, None if who is None else who[0], volume.starts, settings.r_hit, step)
@@ -141,7 +146,7 @@ class Field:
             np.where(end < step * (touch.shape[2] - 1), end, FAR),
             s_max,
             settings.gap,
-            _swept(risk, volume.starts, settings.r_hit),
+            _swept(risk, volume.starts, settings.r_hit, step, hardest),
         )
 
     @cached_property
@@ -153,12 +158,24 @@ class Field:
         return kernels.RollField(arrays)
 
 
-def _swept(risk: PathRisk, starts: F64, r_hit: float) -> float:
-    """When contact ahead comes over the place where the ego is now, if it is not there yet [s]; inf: never."""
-    here = (risk.risk if risk.ahead is None else risk.ahead)[0, :, 0] >= r_hit
+def _swept(risk: PathRisk, starts: F64, r_hit: float, step: float, hardest: Motion | None) -> float:
+    """From when on contact ahead is no brake's to prevent [s]; inf: never.
+
+    Something that is not there yet comes over the place where the ego is now, and over where the hardest brake would
+    have brought it by then, whichever path it takes. Either alone is not enough: who passes over a place that a moving
+    ego has left prevents nothing, and what the ego drives into was there before it.
+    """
+    hits = (risk.risk if risk.ahead is None else risk.ahead) >= r_hit  # [n, S, p]
+    here = hits[0, :, 0].copy()
     if here[0] or not here.any():
         return np.inf
-    return float(max(starts[max(int(np.argmax(here)) - 1, 0)], 0.0))  # a slice reads the next one too
+    if hardest is not None:
+        ends = np.append(starts[1:], np.inf)
+        cell = np.interp(np.stack((starts, ends)), hardest.t, hardest.distance) / step
+        first, last = np.minimum(cell.astype(np.intp), hits.shape[2] - 1)
+        for j in np.flatnonzero(here):
+            here[j] = hits[:, j, first[j] : last[j] + 1].any(axis=1).all()
+    return float(max(starts[max(int(np.argmax(here)) - 1, 0)], 0.0)) if here.any() else np.inf  # reads the next too
 
 
 @dataclass(frozen=True)
@@ -176,6 +193,11 @@ class Rollouts:
     def passed(self) -> Bools:
         """Which of them break no check [K]."""
         return np.asarray(self.failure == 0)
+
+
+def hardest_brake(start: Start, settings: PlannerSettings) -> Motion:
+    """The motion of a vehicle that from now on brakes with the last tier."""
+    return brake_motion(0.0, 0.0, start.speed, start.acceleration, settings.tier_brake[-1], settings.tier_jerk[-1])
 
 
 def roll_out(

@@ -15,6 +15,7 @@ from common.messages import Ego, Plan, Trajectory
 from services.planner.contact import meets
 from services.planner.footprint import Footprint, timed_risk
 from services.planner.settings import PlannerSettings
+from services.planner.trajectory import brake_motion
 from services.planner.volume import Volume
 
 F64 = npt.NDArray[np.float64]
@@ -150,15 +151,26 @@ def _risk_problem(
 def _comes_over(
     part: Trajectory, ego: Ego, volume: Volume, footprint: Footprint, settings: PlannerSettings
 ) -> npt.NDArray[np.bool_]:
-    """From when on something is where the ego is now, if it was not there at first: no plan prevents that."""
-    half = 0.5 * ego.wheelbase
+    """From when on somebody is where the ego is now and where the hardest brake would have brought it along this way.
+
+    Not if he was there at first. No plan prevents that.
+    """
+    half, t = 0.5 * ego.wheelbase, part.t
     x, y = ego.x - half * np.cos(ego.heading), ego.y - half * np.sin(ego.heading)
-    t = part.t
-    here, _ = timed_risk(volume, footprint, np.full(len(t), x), np.full(len(t), y), np.full(len(t), ego.heading), t)
-    now, _ = timed_risk(volume, footprint, np.array([x]), np.array([y]), np.array([ego.heading]), np.zeros(1))
+    # the way of the rear axle from where it is now on
+    way_x = np.append(x, part.x - half * np.cos(part.heading))
+    way_y = np.append(y, part.y - half * np.sin(part.heading))
+    turns = np.unwrap(np.append(ego.heading, part.heading))
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(way_x), np.diff(way_y)))))
+    hardest = brake_motion(0.0, 0.0, ego.speed, 0.0, settings.tier_brake[-1], settings.tier_jerk[-1])
+    braked = np.interp(t, hardest.t, hardest.distance)
+    here = timed_risk(volume, footprint, np.full(len(t), x), np.full(len(t), y), np.full(len(t), ego.heading), t)[0]
+    now = timed_risk(volume, footprint, np.array([x]), np.array([y]), np.array([ego.heading]), np.zeros(1))[0]
+    bx, by, bend = (np.interp(braked, way, q) for q in (way_x, way_y, turns))
+    there = timed_risk(volume, footprint, bx, by, bend, t)[0]
     if now[0] >= settings.r_hit:
         return np.zeros(len(t), dtype=bool)
-    return np.asarray(np.maximum.accumulate(here) >= settings.r_hit)
+    return np.asarray(np.minimum(np.maximum.accumulate(here), np.maximum.accumulate(there)) >= settings.r_hit)
 
 
 def _brakes_hard(part: Trajectory, settings: PlannerSettings) -> bool:

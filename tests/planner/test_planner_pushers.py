@@ -74,6 +74,20 @@ def test_the_lead_under_a_pusher_is_still_braked_for():
     assert plan.desired_speed <= alone.desired_speed + 0.5
 
 
+@pytest.mark.parametrize("gap", [14.0, 18.0, 22.0])
+def test_who_passes_over_a_place_that_the_ego_has_left_excuses_no_contact(gap: float):
+    wall = box(24.0, 0.0, id=2, width=30.0)  # can just be stopped for
+
+    def merges(now: float, ahead: float) -> tuple[float, float, float]:
+        return -gap + 15.0 * ahead, max(3.5 - 3.0 * ahead, 0.0), 0.0
+
+    alone, followed = once([wall], 15.0), once([wall, Box(lambda t: (-gap, 3.5, 0.0), id=3, predict=merges)], 15.0)
+    for plan in (alone, followed):
+        assert plan.profile is not None
+        assert plan.profile.acceleration.min() <= -7.0
+        assert plan.profile.x.max() + 2.25 < 24.0
+
+
 def test_without_leaves_what_is_met_of_others_and_what_is_there_now():
     shape = (2, 3, 4)
     contact = np.full(shape, 0.9, dtype=np.float32)
