@@ -5,6 +5,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.forefield-installed
 PYTEST_ARGS ?=
+# Processes that run the default tests; a file's tests stay together.
+WORKERS ?= 2
 # Where pip may look for PyTorch beside its usual index, such as PyTorch's own index of CPU builds.
 TORCH_INDEX ?=
 
@@ -30,7 +32,7 @@ demo: $(STAMP) ## Run a built-in scenario end to end and record it to runs/demo.
 	@$(BIN)/forefield run --scenario demo --record runs/demo.rrd --json runs/demo.json
 
 test: $(STAMP) ## Run the default tests (under ten minutes on two cores)
-	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
 
 test-slow: $(STAMP) ## Run the long checks
 	@$(BIN)/python -m pytest -m slow --timeout 3600 $(PYTEST_ARGS)
