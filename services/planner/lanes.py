@@ -12,15 +12,14 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from common.geometry import Polyline, wrap_angle
 from common.messages import Lane, Map, Route
+from services.planner.projections import SPACING, Projections, Span
 from services.planner.reference import ReferenceLine
 
 F64 = npt.NDArray[np.float64]
 
-SPACING = 1.0
-"""Distance between stations [m]."""
-_REACH = 20.0  # m; a lane further from the reference line than this does not lie along it
+_UNDER = 1.5  # m; a lane nearer to the reference line than this is the route's where the route names none
+_OWN = 2.5  # m; and nobody's own lane is further away
 
 Side = Literal["left", "right"]
 
@@ -32,7 +31,6 @@ class Neighbour:
     exists: npt.NDArray[np.bool_]  # where there is one
     centre: F64  # offset of its centre line, going on beyond where it exists [m]
     slope: F64  # d centre / ds
-    outer: F64  # offset of its far edge, NaN where there is none [m]
     same_direction: npt.NDArray[np.bool_]
 
 
@@ -62,33 +60,40 @@ class RouteLanes:
     @staticmethod
     def of(reference: ReferenceLine, route: Route, road: Map) -> RouteLanes:
         """Collect them for the lanes of the route, or, if it names none, for those that lie under it."""
-        n = int(np.ceil(reference.length / SPACING)) + 1
-        stations: F64 = np.asarray(SPACING * np.arange(n), dtype=np.float64)
+        lines = Projections(reference)
+        n = len(lines.stations)
         by_id = {lane.id: lane for lane in road.lanes}
-        lanes = [by_id[i] for i in route.lane_ids if i in by_id] or _under(reference, road.lanes)
-        limit, nearest = np.full(n, np.inf), np.full(n, 2.5)
-        own_left, own_right = np.full(n, route.lane_width / 2 or 1.75), np.full(n, -(route.lane_width / 2 or 1.75))
-        own: list[Lane | None] = [None] * n
-        for lane in lanes:
-            centre = _offsets(reference, lane.centre, stations)
-            better = np.abs(centre) < nearest
-            if not np.any(better):
+        lanes = [by_id[i] for i in route.lane_ids if i in by_id] or lines.along(road.lanes, _UNDER)
+        limit, nearest = np.full(n, np.inf), np.full(n, _OWN)
+        half = route.lane_width / 2 or 1.75
+        own_left, own_right = np.full(n, half), np.full(n, -half)
+        own = np.full(n, -1)  # index of the own lane among `lanes`
+        found: list[tuple[Lane, npt.NDArray[np.intp]]] = []
+        lines.add(lane.centre for lane in lanes)
+        for k, lane in enumerate(lanes):
+            span = lines.span(lane.centre)
+            if span is None:
                 continue
-            nearest[better] = np.abs(centre[better])
-            left, right = _offsets(reference, lane.left, stations), _offsets(reference, lane.right, stations)
-            own_left[better] = np.where(np.isfinite(left[better]), left[better], own_left[better])
-            own_right[better] = np.where(np.isfinite(right[better]), right[better], own_right[better])
-            limit[better] = lane.speed_limit if lane.speed_limit > 0 else np.inf
-            for i in np.flatnonzero(better):
-                own[i] = lane
+            better = span.first + np.flatnonzero(np.abs(span.d) < nearest[span.here])
+            if len(better):
+                nearest[better] = np.abs(span.d[better - span.first])
+                limit[better] = lane.speed_limit if lane.speed_limit > 0 else np.inf
+                own[better] = k
+                found.append((lane, better))
+        lines.add(line for lane, _ in found for line in (lane.left, lane.right))
+        for lane, better in found:
+            for edge, points in ((own_left, lane.left), (own_right, lane.right)):
+                if (span := lines.span(points)) is not None:
+                    there = better[(better >= span.first) & (better < span.first + len(span.d))]
+                    edge[there] = span.d[there - span.first]
         return RouteLanes(
             limit,
             own_left,
             own_right,
-            np.array([lane is not None for lane in own]),
-            _neighbour(reference, stations, own, by_id, "left"),
-            _neighbour(reference, stations, own, by_id, "right"),
-            _tracks(reference, stations, road.lanes),
+            own >= 0,
+            _neighbour(lines, lanes, own, by_id, "left"),
+            _neighbour(lines, lanes, own, by_id, "right"),
+            _tracks(lines, road.lanes),
         )
 
     def index(self, s: npt.ArrayLike) -> npt.NDArray[np.intp]:
@@ -97,92 +102,75 @@ class RouteLanes:
 
 
 _BESIDE = 9.0  # m; tracks further away are of no use
+_HALF = 5  # stations to each side over which offsets are smoothed
 _JOINT = 1.0  # m; a lane whose centre begins further from the end of another does not follow it
 
 
-def _tracks(reference: ReferenceLine, stations: F64, lanes: list[Lane]) -> tuple[Track, ...]:
+def _tracks(lines: Projections, lanes: list[Lane]) -> tuple[Track, ...]:
     """Every lane beside the reference line that runs its way, each with the ones before and after it."""
-    offsets = {lane.id: _offsets(reference, lane.centre, stations) for lane in _along(reference, lanes, _BESIDE)}
-    offsets = {i: d for i, d in offsets.items() if np.isfinite(d).sum() >= 2}
-    after = {lane.id: [k for k in lane.successors if k in offsets] for lane in lanes if lane.id in offsets}
-    before: dict[int, list[int]] = {i: [] for i in offsets}
+    n = len(lines.stations)
+    beside = ((lane.id, lines.span(lane.centre)) for lane in lines.along(lanes, _BESIDE))
+    spans = {i: span for i, span in beside if span is not None and len(span.d) >= 2}
+    after = {lane.id: [k for k in lane.successors if k in spans] for lane in lanes if lane.id in spans}
+    before: dict[int, list[int]] = {i: [] for i in spans}
     for i, following in after.items():
         for k in following:
             before[k].append(i)
     tracks, used = [], set[int]()
-    for i in sorted(offsets, key=lambda k: int(np.flatnonzero(np.isfinite(offsets[k]))[0])):
+    for i in sorted(spans, key=lambda k: spans[k].first):
         if i in used:
             continue
         chain = [i]
-        while (later := _next(offsets, chain[-1], after[chain[-1]], ahead=True)) is not None and later not in chain:
+        while (later := _next(spans, chain[-1], after[chain[-1]], ahead=True)) is not None and later not in chain:
             chain.append(later)
-        while (sooner := _next(offsets, chain[0], before[chain[0]], ahead=False)) is not None and sooner not in chain:
+        while (sooner := _next(spans, chain[0], before[chain[0]], ahead=False)) is not None and sooner not in chain:
             chain.insert(0, sooner)
         used.update(chain)
-        merged = np.full(len(stations), np.nan)
+        merged = np.full(n, np.nan)
         for k in reversed(chain):
-            merged = np.where(np.isfinite(offsets[k]), offsets[k], merged)
-        known = np.flatnonzero(np.isfinite(merged))
-        centre = _filled(_filled(merged))
-        slope = np.gradient(centre, SPACING) if len(stations) > 1 else np.zeros(len(stations))
-        bend = np.gradient(slope, SPACING) if len(stations) > 1 else np.zeros(len(stations))
-        tracks.append(Track(int(known[0]), int(known[-1]), centre, slope, bend))
+            merged[spans[k].here] = spans[k].d
+        tracks.append(_track(merged))
     return tuple(tracks)
 
 
-def _next(offsets: dict[int, F64], lane: int, others: list[int], *, ahead: bool) -> int | None:
+def _track(offsets: F64) -> Track:
+    """A track from its offsets at the stations, NaN where it does not lie along the reference line."""
+    n, known = len(offsets), np.flatnonzero(np.isfinite(offsets))
+    first, last = int(known[0]), int(known[-1])
+    # beyond its ends all is level: only so far has anything to be smoothed
+    a, b = max(first - 4 * _HALF, 0), min(last + 4 * _HALF + 1, n)
+    centre = _filled(_filled(offsets[a:b]))
+    slope = np.gradient(centre, SPACING) if len(centre) > 1 else np.zeros(len(centre))
+    bend = np.gradient(slope, SPACING) if len(centre) > 1 else np.zeros(len(centre))
+    return Track(first, last, *(np.pad(q, (a, n - b), mode="edge") for q in (centre, slope, bend)))
+
+
+def _next(spans: dict[int, Span], lane: int, others: list[int], *, ahead: bool) -> int | None:
     """Which of the lanes after (or before) one goes on from it most smoothly."""
     end = -1 if ahead else 0
-    at = offsets[lane][np.isfinite(offsets[lane])][end]
-    jumps = {k: abs(float(offsets[k][np.isfinite(offsets[k])][-1 - end]) - float(at)) for k in others}
+    jumps = {k: abs(float(spans[k].d[-1 - end]) - float(spans[lane].d[end])) for k in others}
     best = min(jumps, key=lambda k: jumps[k], default=None)
     return best if best is not None and jumps[best] <= _JOINT else None
 
 
-def _offsets(reference: ReferenceLine, points: F64, stations: F64) -> F64:
-    """Offset of a line at the stations, NaN where it does not lie along the reference line."""
-    out = np.full(len(stations), np.nan)
-    try:
-        line = Polyline.of(points).resampled(2.0)
-    except ValueError:
-        return out
-    s, d = reference.project_line(line.points)
-    near = np.abs(d) < _REACH
-    ahead = np.concatenate(([True], np.diff(s) > 0)) | np.concatenate((np.diff(s) > 0, [True]))
-    s, d = s[near & ahead], d[near & ahead]
-    if len(s) < 2 or s[-1] <= s[0]:
-        # it may run against the reference line: an oncoming lane's own direction
-        if len(s) < 2:
-            return out
-        s, d = s[::-1], d[::-1]
-    order = np.argsort(s, kind="stable")
-    s, d = s[order], d[order]
-    inside = (stations >= s[0] - 0.5 * SPACING) & (stations <= s[-1] + 0.5 * SPACING)
-    out[inside] = np.interp(stations[inside], s, d)
-    return out
-
-
 def _neighbour(
-    reference: ReferenceLine, stations: F64, own: list[Lane | None], by_id: dict[int, Lane], side: Side
+    lines: Projections, lanes: list[Lane], own: npt.NDArray[np.intp], by_id: dict[int, Lane], side: Side
 ) -> Neighbour:
-    n = len(stations)
-    centre, outer, same = np.full(n, np.nan), np.full(n, np.nan), np.ones(n, dtype=bool)
+    n = len(own)
+    centre, same = np.full(n, np.nan), np.ones(n, dtype=bool)
     sign = 1.0 if side == "left" else -1.0
-    for lane in {lane.id: lane for lane in own if lane is not None}.values():
-        other = by_id.get(_neighbour_id(lane, side))
-        if other is None:
+    found = [(int(k), by_id.get(_neighbour_id(lanes[k], side))) for k in np.unique(own[own >= 0])]
+    lines.add(other.centre for _, other in found if other is not None)
+    for k, other in found:
+        span = None if other is None else lines.span(other.centre)
+        if span is None:
             continue
-        along = lane.left_same_direction if side == "left" else lane.right_same_direction
-        here = np.array([o is lane for o in own])
-        middle = _offsets(reference, other.centre, stations)
-        a, b = _offsets(reference, other.left, stations), _offsets(reference, other.right, stations)
-        edge = np.fmax(a, b) if side == "left" else np.fmin(a, b)
-        good = here & np.isfinite(middle) & (sign * middle > 1.0)
-        centre[good], same[good] = middle[good], along
-        outer[good] = np.where(np.isfinite(edge[good]), edge[good], middle[good] + sign * 1.75)
+        along = lanes[k].left_same_direction if side == "left" else lanes[k].right_same_direction
+        good = span.first + np.flatnonzero((own[span.here] == k) & (sign * span.d > 1.0))
+        centre[good], same[good] = span.d[good - span.first], along
     filled = _filled(centre)
     slope = np.gradient(filled, SPACING) if n > 1 else np.zeros(n)
-    return Neighbour(np.isfinite(centre), filled, slope, outer, same)
+    return Neighbour(np.isfinite(centre), filled, slope, same)
 
 
 def _neighbour_id(lane: Lane, side: Side) -> int:
@@ -196,34 +184,5 @@ def _filled(a: F64) -> F64:
     if not len(known):
         return np.zeros_like(a)
     full = np.interp(np.arange(len(a)), known, a[known])
-    k = np.hanning(13)[1:-1]
-    return np.convolve(np.pad(full, 5, mode="edge"), k / k.sum(), mode="valid")
-
-
-def _under(reference: ReferenceLine, lanes: list[Lane]) -> list[Lane]:
-    """Lanes whose centre line runs within 1.5 m of the reference line, in its direction."""
-    return _along(reference, lanes, 1.5)
-
-
-def _along(reference: ReferenceLine, lanes: list[Lane], reach: float) -> list[Lane]:
-    """Lanes whose centre line runs within `reach` of the reference line [m], in its direction."""
-    low = np.array([reference.x.min(), reference.y.min()]) - reach - 0.5
-    high = np.array([reference.x.max(), reference.y.max()]) + reach + 0.5
-    out = []
-    for lane in lanes:
-        c = lane.centre
-        if np.any(c.max(axis=0) < low) or np.any(c.min(axis=0) > high):
-            continue
-        try:
-            line = Polyline.of(c).resampled(2.0)
-        except ValueError:
-            continue
-        s, d = reference.project_line(line.points)
-        inside = (s >= 0.0) & (s <= reference.length) & (np.abs(d) < reach)
-        if not np.any(inside):
-            continue
-        middle = line.s[inside]
-        turn = wrap_angle(line.heading(middle) - reference.at(s[inside]).heading)
-        if float(np.median(np.abs(turn))) < 0.6:
-            out.append(lane)
-    return out
+    k = np.hanning(2 * _HALF + 3)[1:-1]
+    return np.convolve(np.pad(full, _HALF, mode="edge"), k / k.sum(), mode="valid")

@@ -7,12 +7,14 @@ moves it by less than a hand's breadth, narrow in tight turns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from common.geometry import Polyline, wrap_angle
+from common.geometry import Polyline
 
 F64 = npt.NDArray[np.float64]
 
@@ -119,29 +121,89 @@ class ReferenceLine:
                 break
         return s0, d
 
-    def project_line(self, points: F64) -> tuple[F64, F64]:
-        """Frenet coordinates (s, d) of many points [n, 2] that run along the line, each [n]."""
+    def project_lines(self, lines: Sequence[F64]) -> list[tuple[F64, F64]]:
+        """Frenet coordinates (s, d) of the points [n, 2] of lines that run along this one, each [n].
+
+        The nearest vertex of this line is looked for only in the pieces of it that can hold it.
+        """
+        if not lines:
+            return []
+        pieces, points = self.pieces, np.concatenate(lines)
+        ends = np.cumsum([len(line) for line in lines])
+        a = np.concatenate([np.arange(end - len(line), end, _RUN) for end, line in zip(ends, lines, strict=True)])
+        b = np.minimum(np.append(a[1:], len(points)), a + _RUN)
+        low, high = np.minimum.reduceat(points, a), np.maximum.reduceat(points, a)
+        nearest = np.empty(len(points), dtype=np.intp)
+        for k in range(0, len(a), _BLOCK):
+            block = slice(k, k + _BLOCK)
+            for first, last, near in zip(a[block], b[block], pieces.near(low[block], high[block]), strict=True):
+                i, part = pieces.vertices(near), points[first:last]
+                cost = (part[:, None, 0] - pieces.x[i]) ** 2 + (part[:, None, 1] - pieces.y[i]) ** 2
+                nearest[first:last] = i[np.argmin(cost, axis=1)]
+        h = self.heading[:: pieces.stride][nearest]
+        dx, dy = points[:, 0] - pieces.x[nearest], points[:, 1] - pieces.y[nearest]
+        s = self.spacing * pieces.stride * nearest + np.cos(h) * dx + np.sin(h) * dy
+        d = -np.sin(h) * dx + np.cos(h) * dy
+        return list(zip(np.split(s, ends[:-1]), np.split(d, ends[:-1]), strict=True))
+
+    @cached_property
+    def pieces(self) -> Pieces:
+        """This line in pieces of about 32 m."""
         stride = max(round(1.0 / self.spacing), 1)
-        x, y, h = self.x[::stride], self.y[::stride], self.heading[::stride]
-        out_s, out_d = np.empty(len(points)), np.empty(len(points))
-        for a in range(0, len(points), 256):
-            part = points[a : a + 256]
-            i = np.argmin((part[:, None, 0] - x) ** 2 + (part[:, None, 1] - y) ** 2, axis=1)
-            dx, dy = part[:, 0] - x[i], part[:, 1] - y[i]
-            out_s[a : a + 256] = self.spacing * stride * i + np.cos(h[i]) * dx + np.sin(h[i]) * dy
-            out_d[a : a + 256] = -np.sin(h[i]) * dx + np.cos(h[i]) * dy
-        return out_s, out_d
+        return Pieces.of(self.x[::stride], self.y[::stride], stride)
 
 
-def heading_error(line: ReferenceLine, s: float, heading: float) -> float:
-    """Heading relative to the line's at s, in [−π, π) [rad]."""
-    return float(wrap_angle(heading - float(line.at(s).heading)))
+_PIECE = 32  # vertices about a metre apart
+_RUN = 32  # points that are projected together
+_BLOCK = 512  # such runs whose boxes are compared at once
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Vertices of a line about a metre apart, and the boxes of runs of them."""
+
+    stride: int  # points of the line from one vertex to the next
+    x: F64  # [m]
+    y: F64
+    low: F64  # corners of the boxes [k, 2]
+    high: F64
+    middle: F64  # a vertex of each run [k, 2]
+
+    @staticmethod
+    def of(x: F64, y: F64, stride: int) -> Pieces:
+        """Cut them."""
+        starts = np.arange(0, len(x), _PIECE)
+        p = np.stack((x, y), axis=1)
+        low, high = np.minimum.reduceat(p, starts), np.maximum.reduceat(p, starts)
+        return Pieces(stride, x, y, low, high, p[np.minimum(starts + _PIECE // 2, len(x) - 1)])
+
+    def gap(self, low: F64, high: F64) -> F64:
+        """Distance of boxes, corners [n, 2], from those of the pieces, [n, k] [m]."""
+        dx, dy = (
+            np.maximum(np.maximum(self.low[:, c] - high[:, None, c], low[:, None, c] - self.high[:, c]), 0.0)
+            for c in (0, 1)
+        )
+        return np.asarray(np.hypot(dx, dy))
+
+    def near(self, low: F64, high: F64) -> npt.NDArray[np.bool_]:
+        """Which pieces may hold the nearest vertex to a point within boxes, corners [n, 2]; [n, k]."""
+        centre = 0.5 * (low + high)
+        least = np.hypot(centre[:, None, 0] - self.middle[:, 0], centre[:, None, 1] - self.middle[:, 1]).min(axis=1)
+        most = least + 0.5 * np.hypot(*(high - low).T)
+        return np.asarray(self.gap(low, high) <= most[:, None] + 1e-3)
+
+    def vertices(self, near: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+        """Indices of the vertices of some pieces, in order."""
+        i = (_PIECE * np.flatnonzero(near)[:, None] + np.arange(_PIECE)).ravel()
+        return i[i < len(self.x)]
 
 
 def _decimated(line: Polyline) -> Polyline:
-    keep = [0]
+    keep, steps = [0], np.hypot(*np.diff(line.points, axis=0).T).tolist()
     for i in range(1, len(line.points)):
-        if np.hypot(*(line.points[i] - line.points[keep[-1]])) >= _DECIMATE:
+        last = keep[-1]
+        apart = steps[last] if last == i - 1 else np.hypot(*(line.points[i] - line.points[last]))
+        if apart >= _DECIMATE:
             keep.append(i)
     if len(keep) < 2:
         raise ValueError(f"the reference line is shorter than {_DECIMATE} m")
