@@ -136,13 +136,20 @@ def replay(
     start: Annotated[float, typer.Option("--from", help="Seconds after its beginning.", min=0.0)] = 0.0,
     end: Annotated[float | None, typer.Option("--to", help="Seconds after its beginning.", min=0.0)] = None,
     connect: Connect = "",
+    force: Annotated[
+        bool, typer.Option("--force", help="Replay topics too whose writer runs on this bus: it is shut out by that.")
+    ] = False,
     check: Annotated[
         bool, typer.Option("--check", help="No bus: repeat every step of the services and compare the results.")
     ] = False,
     config_: Config = None,
     set_: Sets = None,
 ) -> None:
-    """Put a recorded bus back on a bus, or check that the services do again what they did."""
+    """Put a recorded bus back on a bus, or check that the services do again what they did.
+
+    Topics whose writer runs on that bus (a running planner's plan and status, and so on) are refused without --force.
+    To who hears them the replay is that service started anew, and the service an old one until it is started again.
+    """
     with exits(asked=True):
         from rig.bus_log.reader import BusLog, BusLogError
 
@@ -158,7 +165,7 @@ def replay(
             good = _check(log, configuration.load(config_, set_ or []) if config_ or set_ else None)
         else:
             tree = _reaching(configuration.load(config_, set_ or []), connect)
-            good = _play(log, tree, _topics(only), rate, start, end)
+            good = _play(log, tree, _topics(only), rate, start, end, force)
         for name, why in log.unknown.items():
             say(f"[yellow]{escape(name)} was left out[/]: {escape(why)}")
         for name, n in log.refused.items():
@@ -179,7 +186,9 @@ def _mend_bus(file: Path, target: Path) -> None:
     Console().print(str(target), soft_wrap=True, highlight=False, markup=False)
 
 
-def _play(log: BusLog, tree: Tree, topics: tuple[Topic, ...], rate: float, start: float, end: float | None) -> bool:
+def _play(
+    log: BusLog, tree: Tree, topics: tuple[Topic, ...], rate: float, start: float, end: float | None, force: bool
+) -> bool:
     from rig.bus_log.player import Player
 
     first, last = log.span_ns()
@@ -188,6 +197,8 @@ def _play(log: BusLog, tree: Tree, topics: tuple[Topic, ...], rate: float, start
     if start >= stop:
         raise ConfigError(f"--from {start:g}: the recording is {length:.1f} s long, and nothing lies before {stop:g} s")
     with open_bus(config.section(tree, "bus", BusSettings), config.vehicle(tree), "replay", wait_s=10.0) as bus:
+        if not force:
+            _leave_to_the_living(log, topics, bus.alive())
         player = Player(log, bus, topics)
         with Progress(console=Console(stderr=True)) as bar:
             task = bar.add_task(f"replaying {stop - start:.1f} s", total=stop - start)
@@ -197,6 +208,22 @@ def _play(log: BusLog, tree: Tree, topics: tuple[Topic, ...], rate: float, start
         say(", ".join(f"{name} {n}" for name, n in player.sent.items()) or "nothing of these topics is recorded there")
         log.refused.update(player.refused)
         return bool(player.sent)
+
+
+def _leave_to_the_living(log: BusLog, topics: tuple[Topic, ...], alive: set[str]) -> None:
+    from rig.bus_log.player import taken
+
+    held = log.holds()
+    asked = [topic for topic in topics if topic.suffix in held]
+    theirs = taken(asked, alive)
+    if theirs:
+        rest = ",".join(topic.suffix for topic in asked if topic not in theirs)
+        raise ConfigError(
+            f"{', '.join(t.suffix for t in theirs)}: written by what runs on this bus "
+            f"({', '.join(sorted({t.writer for t in theirs}))}), which a replay would shut out until it starts again; "
+            + (f"replay the rest (--only {rest}), " if rest else "")
+            + "stop it, or say --force"
+        )
 
 
 def _check(log: BusLog, given: Tree | None) -> bool:

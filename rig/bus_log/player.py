@@ -10,7 +10,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import msgpack
@@ -24,6 +24,19 @@ from rig.bus_log.reader import BusLog
 
 LATCHED_S = 0.2
 """What stands is put so long before what moves [s]."""
+
+
+def taken(topics: Iterable[Topic], alive: Collection[str]) -> list[Topic]:
+    """Topics that somebody on the bus writes now.
+
+    A receiver keeps to the process start that it heard last: a replayed message would take the place of the living
+    writer, whose own messages are then refused (`old_boot`) until it starts again.
+
+    Args:
+        topics: what is to be replayed.
+        alive: services whose liveliness token is seen (`Bus.alive`).
+    """
+    return [topic for topic in topics if topic.writer in alive]
 
 
 class Player:

@@ -88,6 +88,16 @@ class BusLog:
         times = [message.time_ns for message in self.messages()]
         return (min(times), max(times)) if times else (0, 0)
 
+    def holds(self) -> set[str]:
+        """Suffixes of the topics of which messages are there; by the index, where there is one."""
+        if not self.is_torn:
+            with self.path.open("rb") as file:
+                summary = SeekingReader(file).get_summary()
+            if summary is not None and summary.statistics is not None:
+                counts = summary.statistics.channel_message_counts
+                return {channel.topic for channel in summary.channels.values() if counts.get(channel.id)}
+        return {message.topic.suffix for message in self.messages()}
+
     def messages(
         self, topics: Collection[Topic] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Recorded]:

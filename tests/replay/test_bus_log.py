@@ -16,11 +16,13 @@ pytest.importorskip("mcap")
 
 from mcap.reader import SeekingReader
 from mcap.writer import Writer
+from typer.testing import CliRunner
 
 from common import codec, topics
 from common.bus import Bus, BusSettings, Raw, open_bus, router
 from common.clock import monotonic
 from common.messages import Cause, Closures
+from rig.application import app
 from rig.bus_log import recorder as recorder_module
 from rig.bus_log.check import check
 from rig.bus_log.envelope import MESSAGE_ENCODING, METADATA, Recorded, pack, schema_name, topics_named, unpack
@@ -186,7 +188,8 @@ def test_other_versions_are_named_and_the_rest_is_read(recorded, tmp_path):
 def test_a_replay_is_accepted_by_receivers_as_a_drive_of_now(recorded, endpoint, rate):
     path, _ = recorded
     log = BusLog.open(path)
-    first, last = log.span_ns()
+    first = log.span_ns()[0]
+    last = max(m.time_ns for m in log.messages(MOVING))
     vehicle = f"replay{rate:.0f}"
     with bus_of(endpoint, "ears", vehicle) as ears, bus_of(endpoint, "replay", vehicle) as bus:
         heard = Heard(ears, (*MOVING, *STANDING))
@@ -219,6 +222,59 @@ def test_a_stretch_begins_with_what_stood_before_it(recorded, endpoint):
         until(lambda: len(heard.raw) == player.sent.total(), what="the replay")
         assert {r.topic.suffix for r in heard.raw[:3]} == {"map", "route", "closures"}
         assert 0 < player.sent["ego"] < FRAMES
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory) -> Path:
+    """A recorded drive with what the vehicle sent and what the planner answered."""
+    path = tmp_path_factory.mktemp("driven") / "a.mcap"
+    log = BusLog.open(Path(__file__).with_name("reference_drive.mcap"))
+    found = [m for t in (topics.EGO, topics.PLAN) for m in list(log.messages([t]))[:3]]
+    return write(path, [(m.topic.suffix, schema_name(m.topic), pack(m.attachment, m.payload)) for m in found])
+
+
+def replayed(file: Path, endpoint: str, vehicle: str, *more: str):
+    arguments = ["replay", str(file), "--connect", endpoint, "--set", f"vehicle={vehicle}", *more]
+    return CliRunner().invoke(app, arguments, env={"COLUMNS": "400", "TERM": "dumb"})
+
+
+def test_who_runs_on_the_bus_is_not_shut_out_by_a_replay_unless_that_is_forced(driven, endpoint):
+    with bus_of(endpoint, "planner", "living") as planner, bus_of(endpoint, "ears", "living") as ears:
+        heard = Heard(ears, (topics.EGO, topics.PLAN))
+        planner.liveliness("planner")
+        until(lambda: "planner" in ears.alive(), what="the planner's token")
+        refused = replayed(driven, endpoint, "living")
+        assert refused.exit_code == 2
+        (line,) = refused.stderr.splitlines()
+        assert all(words in line for words in ("plan: ", "(planner)", "--only ego)", "--force"))
+        assert replayed(driven, endpoint, "living", "--only", "plan").exit_code == 2
+        allowed = replayed(driven, endpoint, "living", "--only", "ego")
+        assert allowed.exit_code == 0, allowed.stderr
+        until(lambda: len(heard.of(topics.EGO)) == 3, what="the ego")
+        assert not heard.of(topics.PLAN)
+        forced = replayed(driven, endpoint, "living", "--force")
+        assert forced.exit_code == 0, forced.stderr
+        until(lambda: len(heard.of(topics.PLAN)) == 3, what="the plans")
+
+
+def test_a_drive_without_what_the_living_write_and_a_bus_without_them_are_replayed_as_they_are(
+    driven, endpoint, tmp_path
+):
+    ego = list(BusLog.open(driven).messages([topics.EGO]))
+    inputs = write(tmp_path / "a.mcap", [("ego", schema_name(m.topic), pack(m.attachment, m.payload)) for m in ego])
+    with bus_of(endpoint, "planner", "inputs") as planner:
+        planner.liveliness("planner")
+        until(lambda: "planner" in planner.alive(), what="the planner's token")
+        assert replayed(inputs, endpoint, "inputs").exit_code == 0
+    assert replayed(driven, endpoint, "alone").exit_code == 0
+
+
+def test_what_a_recording_holds_is_known_torn_or_whole(recorded, tmp_path):
+    whole, _ = recorded
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(whole.read_bytes()[:-20])
+    assert BusLog.open(torn).is_torn
+    assert BusLog.open(whole).holds() == BusLog.open(torn).holds() == {t.suffix for t in (*MOVING, *STANDING)}
 
 
 def test_causes_follow_the_new_boots_and_unknown_fields_travel_on(endpoint, tmp_path):
