@@ -117,6 +117,7 @@ def drive_once(
         open_bus(bus_settings, config.vehicle(tree), "rig", wait_s=rig.ready_timeout_s) as bus,
         reporting(bus.health, bus.publisher(STATUS_OF["vehicle"]), service),
     ):
+        bus.liveliness("vehicle")
         statuses = Statuses(bus, SERVICES if crew is None else [c.name for c in crew.children])
         live = LiveRun(bus, scenario, rig, statuses)
         failures: list[str] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -31,6 +32,7 @@ from rig.bus_log.player import Player
 from rig.bus_log.reader import BusLog, BusLogError
 from rig.bus_log.recorder import Recorder
 from tests import samples
+from tests.processes import group
 from tests.waiting import until
 
 MOVING = (topics.EGO, topics.OBJECTS)
@@ -255,6 +257,15 @@ def test_who_runs_on_the_bus_is_not_shut_out_by_a_replay_unless_that_is_forced(d
         forced = replayed(driven, endpoint, "living", "--force")
         assert forced.exit_code == 0, forced.stderr
         until(lambda: len(heard.of(topics.PLAN)) == 3, what="the plans")
+
+
+def test_a_vehicle_that_the_rig_drives_is_left_alone_too(driven, endpoint):
+    run = [sys.executable, "-m", "rig.command", "run", "--scenario", "straight", "--attach"]
+    settings = ["--set", f'bus.connect=["{endpoint}"]', "--set", "vehicle=rigged", "--set", "rig.ready_timeout_s=120"]
+    with group([*run, *settings]), bus_of(endpoint, "ears", "rigged") as ears:
+        until(lambda: "vehicle" in ears.alive(), within_s=60, what="the vehicle's token")
+        refused = replayed(driven, endpoint, "rigged", "--only", "ego,plan")
+    assert refused.exit_code == 2 and "--only plan)" in refused.stderr
 
 
 def test_a_drive_without_what_the_living_write_and_a_bus_without_them_are_replayed_as_they_are(

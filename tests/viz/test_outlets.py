@@ -21,8 +21,8 @@ import rerun as rr
 import rerun_cli
 from rerun.chunk import RrdReader
 
+from tests.processes import group
 from tests.viz import synthetic
-from tests.viz.processes import group
 from tests.viz.reading import rows
 from tests.waiting import until
 from viz import outlet

@@ -20,8 +20,8 @@ import common
 from common.bus import free_port
 from common.config import ConfigError
 from rig.viewing import viewing
+from tests.processes import group, remains
 from tests.viz import synthetic
-from tests.viz.processes import group, remains
 from tests.viz.reading import record
 from tests.waiting import until
 from viz.blueprint import blueprint
