@@ -18,8 +18,11 @@ from services.planner.settings import PlannerSettings
 from services.planner.trajectory import Memory
 from services.planner.validator import validate
 from services.planner.volume import Volume
+from services.planner.work import Work, advance
 
 _MOVING = 0.3  # m/s
+_LINES_A_STEP = 128
+"""How much of a new road is looked at in a step: most roads whole, and of a city so much that the plan is not late."""
 
 
 class Planner:
@@ -31,6 +34,7 @@ class Planner:
         self._had_all = False
         self._road: Road | None = None
         self._road_of: tuple[Route, Map] | None = None
+        self._coming: tuple[tuple[Route, Map], Work[Road]] | None = None
 
     def warm_up(self) -> None:
         """Compile the kernels, where there are any (seconds when the cache is cold)."""
@@ -97,20 +101,24 @@ class Planner:
         return plan, new
 
     def _prepared(self, route: Route, road: Map) -> Road:
-        """Reference line and lanes, made once for each route and map."""
+        """Reference line and lanes, made once for each route and map; the old ones until large new ones are ready.
+
+        A preparation that is under way is finished before a newer one begins, lest none ever be.
+        """
         known = self._road_of
-        if self._road is None or known is None or known[1] is not road or not _same(known[0], route):
-            reference = ReferenceLine.of(route.reference)
-            self._road = Road(
-                reference,
-                RouteLanes.of(reference, route, road),
-                route.speed_limit if route.speed_limit > 0 else np.inf,
-                route.goal,
-                reference.project(route.goal.x, route.goal.y, float(reference.heading[-1]))[0],
-            )
-            self._road_of = (route, road)
+        if self._road is not None and known is not None and known[1] is road and _same(known[0], route):
+            self._coming = None
+            return self._road
+        of, work = self._coming or ((route, road), _preparing(route, road))
+        self._coming = None  # an error inside ends it
+        ready = advance(work, np.inf if self._road is None else _LINES_A_STEP)
+        if ready is None:
+            self._coming = of, work
+        else:
+            self._road, self._road_of = ready, of
             if self._memory is not None:  # its place and choice belong to the old line
                 self._memory = replace(self._memory, target_name="", s=-1.0)
+        assert self._road is not None  # the first one is made whole
         return self._road
 
     def _start(self, ego: Stamped[Ego]) -> tuple[Start, float | None]:
@@ -171,6 +179,19 @@ class Planner:
     @staticmethod
     def _moving(ego: Stamped[Ego]) -> bool:
         return not (abs(ego.value.speed) <= _MOVING)
+
+
+def _preparing(route: Route, road: Map) -> Work[Road]:
+    reference = ReferenceLine.of(route.reference)
+    yield len(reference.x) // 200
+    lanes = yield from RouteLanes.preparing(reference, route, road)
+    return Road(
+        reference,
+        lanes,
+        route.speed_limit if route.speed_limit > 0 else np.inf,
+        route.goal,
+        reference.project(route.goal.x, route.goal.y, float(reference.heading[-1]))[0],
+    )
 
 
 def start_of(ego: Ego, max_curvature: float) -> Start:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from common.messages import Lane, Map, Route
 from services.planner.projections import SPACING, Projections, Span
 from services.planner.reference import ReferenceLine
+from services.planner.work import Work, finished
 
 F64 = npt.NDArray[np.float64]
 
@@ -60,16 +61,21 @@ class RouteLanes:
     @staticmethod
     def of(reference: ReferenceLine, route: Route, road: Map) -> RouteLanes:
         """Collect them for the lanes of the route, or, if it names none, for those that lie under it."""
+        return finished(RouteLanes.preparing(reference, route, road))
+
+    @staticmethod
+    def preparing(reference: ReferenceLine, route: Route, road: Map) -> Work[RouteLanes]:
+        """The same, a little at a time."""
         lines = Projections(reference)
         n = len(lines.stations)
         by_id = {lane.id: lane for lane in road.lanes}
-        lanes = [by_id[i] for i in route.lane_ids if i in by_id] or lines.along(road.lanes, _UNDER)
+        lanes = [by_id[i] for i in route.lane_ids if i in by_id] or (yield from lines.along(road.lanes, _UNDER))
         limit, nearest = np.full(n, np.inf), np.full(n, _OWN)
         half = route.lane_width / 2 or 1.75
         own_left, own_right = np.full(n, half), np.full(n, -half)
         own = np.full(n, -1)  # index of the own lane among `lanes`
         found: list[tuple[Lane, npt.NDArray[np.intp]]] = []
-        lines.add(lane.centre for lane in lanes)
+        yield from lines.add(lane.centre for lane in lanes)
         for k, lane in enumerate(lanes):
             span = lines.span(lane.centre)
             if span is None:
@@ -80,20 +86,22 @@ class RouteLanes:
                 limit[better] = lane.speed_limit if lane.speed_limit > 0 else np.inf
                 own[better] = k
                 found.append((lane, better))
-        lines.add(line for lane, _ in found for line in (lane.left, lane.right))
+                yield 1
+        yield from lines.add(line for lane, _ in found for line in (lane.left, lane.right))
         for lane, better in found:
             for edge, points in ((own_left, lane.left), (own_right, lane.right)):
                 if (span := lines.span(points)) is not None:
                     there = better[(better >= span.first) & (better < span.first + len(span.d))]
                     edge[there] = span.d[there - span.first]
+            yield 1
         return RouteLanes(
             limit,
             own_left,
             own_right,
             own >= 0,
-            _neighbour(lines, lanes, own, by_id, "left"),
-            _neighbour(lines, lanes, own, by_id, "right"),
-            _tracks(lines, road.lanes),
+            (yield from _neighbour(lines, lanes, own, by_id, "left")),
+            (yield from _neighbour(lines, lanes, own, by_id, "right")),
+            (yield from _tracks(lines, road.lanes)),
         )
 
     def index(self, s: npt.ArrayLike) -> npt.NDArray[np.intp]:
@@ -106,10 +114,11 @@ _HALF = 5  # stations to each side over which offsets are smoothed
 _JOINT = 1.0  # m; a lane whose centre begins further from the end of another does not follow it
 
 
-def _tracks(lines: Projections, lanes: list[Lane]) -> tuple[Track, ...]:
+def _tracks(lines: Projections, lanes: list[Lane]) -> Work[tuple[Track, ...]]:
     """Every lane beside the reference line that runs its way, each with the ones before and after it."""
     n = len(lines.stations)
-    beside = ((lane.id, lines.span(lane.centre)) for lane in lines.along(lanes, _BESIDE))
+    along = yield from lines.along(lanes, _BESIDE)
+    beside = ((lane.id, lines.span(lane.centre)) for lane in along)
     spans = {i: span for i, span in beside if span is not None and len(span.d) >= 2}
     after = {lane.id: [k for k in lane.successors if k in spans] for lane in lanes if lane.id in spans}
     before: dict[int, list[int]] = {i: [] for i in spans}
@@ -130,6 +139,7 @@ def _tracks(lines: Projections, lanes: list[Lane]) -> tuple[Track, ...]:
         for k in reversed(chain):
             merged[spans[k].here] = spans[k].d
         tracks.append(_track(merged))
+        yield 2
     return tuple(tracks)
 
 
@@ -155,12 +165,12 @@ def _next(spans: dict[int, Span], lane: int, others: list[int], *, ahead: bool) 
 
 def _neighbour(
     lines: Projections, lanes: list[Lane], own: npt.NDArray[np.intp], by_id: dict[int, Lane], side: Side
-) -> Neighbour:
+) -> Work[Neighbour]:
     n = len(own)
     centre, same = np.full(n, np.nan), np.ones(n, dtype=bool)
     sign = 1.0 if side == "left" else -1.0
     found = [(int(k), by_id.get(_neighbour_id(lanes[k], side))) for k in np.unique(own[own >= 0])]
-    lines.add(other.centre for _, other in found if other is not None)
+    yield from lines.add(other.centre for _, other in found if other is not None)
     for k, other in found:
         span = None if other is None else lines.span(other.centre)
         if span is None:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from common.geometry import Polyline, wrap_angle
 from common.messages import Lane
 from services.planner.reference import ReferenceLine
+from services.planner.work import Work
 
 F64 = npt.NDArray[np.float64]
 
@@ -23,6 +24,7 @@ SPACING = 1.0
 _REACH = 20.0  # m; a point further from the reference line than this does not lie along it
 _STEP = 2.0  # m; between the points of a line that are projected
 _BLOCK = 512  # lanes whose boxes are compared at once
+_GROUP = 32  # lines that are projected at once
 _SAME_WAY = 0.6  # rad
 
 
@@ -56,10 +58,16 @@ class Projections:
         self._known: dict[int, _Projected | F64] = {}  # the points themselves: they are no line
         self._spans: dict[int, Span | None] = {}
 
-    def add(self, lines: Iterable[F64]) -> None:
-        """Project lines [n, 2], together: that costs less than one at a time."""
+    def add(self, lines: Iterable[F64]) -> Work[None]:
+        """Project lines [n, 2], several together: that costs less than one at a time."""
+        unknown = list({id(p): p for p in lines if id(p) not in self._known}.values())
+        for k in range(0, len(unknown), _GROUP):
+            self._project(unknown[k : k + _GROUP])
+            yield len(unknown[k : k + _GROUP])
+
+    def _project(self, lines: list[F64]) -> None:
         new: list[tuple[F64, Polyline]] = []
-        for points in {id(p): p for p in lines if id(p) not in self._known}.values():
+        for points in lines:
             try:
                 new.append((points, Polyline.of(points).resampled(_STEP)))
             except ValueError:
@@ -69,17 +77,16 @@ class Projections:
             self._known[id(points)] = _Projected(points, line, s, d)
 
     def span(self, points: F64) -> Span | None:
-        """Offset of a line at the stations; None where it does not lie along the reference line."""
+        """Offset at the stations of a line that was added; None where it does not lie along the reference line."""
         if id(points) not in self._spans:
-            self.add((points,))
             known = self._known[id(points)]
             self._spans[id(points)] = self._span(known) if isinstance(known, _Projected) else None
         return self._spans[id(points)]
 
-    def along(self, lanes: list[Lane], reach: float) -> list[Lane]:
+    def along(self, lanes: list[Lane], reach: float) -> Work[list[Lane]]:
         """Lanes whose centre line runs within `reach` of the reference line [m], in its direction."""
-        near = self.near(lanes, reach)
-        self.add(lane.centre for lane in near)
+        near = yield from self.near(lanes, reach)
+        yield from self.add(lane.centre for lane in near)
         found = []
         for lane in near:
             known = self._known[id(lane.centre)]
@@ -91,10 +98,14 @@ class Projections:
             return []
         ends = np.cumsum([len(s) for _, _, s in found])[:-1]
         ways = np.split(self._reference.at(np.concatenate([s for _, _, s in found])).heading, ends)
-        turned = [np.median(np.abs(wrap_angle(a - b))) for (_, a, _), b in zip(found, ways, strict=True)]
-        return [lane for (lane, _, _), turn in zip(found, turned, strict=True) if float(turn) < _SAME_WAY]
+        kept = []
+        for (lane, heading, _), way in zip(found, ways, strict=True):
+            if float(np.median(np.abs(wrap_angle(heading - way)))) < _SAME_WAY:
+                kept.append(lane)
+            yield 1
+        return kept
 
-    def near(self, lanes: list[Lane], reach: float) -> list[Lane]:
+    def near(self, lanes: list[Lane], reach: float) -> Work[list[Lane]]:
         """Lanes that boxes cannot tell to lie further than `reach` [m]; none that does is left out.
 
         An offset is measured across the line at its nearest point, and in a kink that is less than the distance: half
@@ -113,10 +124,12 @@ class Projections:
         last = np.array([line.x.max(), line.y.max()]) + reach + 0.5
         kept = np.flatnonzero(~((high < first) | (low > last)).any(axis=1))
         near: list[Lane] = []
+        yield len(lanes) // 32
         for a in range(0, len(kept), _BLOCK):
             k = kept[a : a + _BLOCK]
             far = (line.pieces.gap(low[k], high[k]) > 2.0 * reach + 1.0).all(axis=1)
             near.extend(lanes[i] for i in k[~far])
+            yield len(k) // 16
         return near
 
     def _span(self, known: _Projected) -> Span | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import fields
 from unittest.mock import patch
 
@@ -10,10 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.messages import Goal, Lane, Map, Route
+from common.messages import Goal, Lane, Map, Plan, Route
+from services.planner.core import Planner
 from services.planner.lanes import RouteLanes
 from services.planner.projections import Projections
 from services.planner.reference import ReferenceLine
+from services.planner.settings import PlannerSettings
+from services.planner.work import Work, advance
+from tests.planner.worlds import ego_at, follow, risk_of, stamped
 
 BLOCK = 80.0  # m
 
@@ -78,6 +83,11 @@ def against_every_vertex(line: ReferenceLine, lines: list[np.ndarray]) -> list[t
     return out
 
 
+def every_lane(self: Projections, lanes: list[Lane], reach: float) -> Work[list[Lane]]:
+    yield 0
+    return lanes
+
+
 def parts(value: object) -> list[object]:
     """All arrays and numbers inside, in order."""
     if hasattr(value, "__dataclass_fields__"):
@@ -92,7 +102,7 @@ def test_the_road_is_the_same_as_if_every_lane_were_projected_on_the_whole_line(
     reference = ReferenceLine.of(route.reference)
     pruned = RouteLanes.of(reference, route, road)
     with (
-        patch.object(Projections, "near", lambda self, lanes, reach: lanes),
+        patch.object(Projections, "near", every_lane),
         patch.object(ReferenceLine, "project_lines", against_every_vertex),
     ):
         whole = RouteLanes.of(reference, route, road)
@@ -161,3 +171,78 @@ def test_a_route_twice_as_long_costs_twice_the_projections_though_its_box_is_fou
     short, long = work(road, corner(4 * BLOCK)), work(road, corner(8 * BLOCK))
     assert long[0] == pytest.approx(2.0 * short[0], rel=0.2)
     assert long[1] <= short[1] * 1.2
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 2**32 - 1), amount=st.integers(1, 60))
+def test_the_road_is_the_same_however_little_of_it_is_prepared_at_a_time(seed: int, amount: int):
+    road, route = network(np.random.default_rng(seed))
+    reference = ReferenceLine.of(route.reference)
+    work = RouteLanes.preparing(reference, route, road)
+    while (found := advance(work, amount)) is None:
+        pass
+    for a, b in zip(parts(found), parts(RouteLanes.of(reference, route, road)), strict=True):
+        assert np.array_equal(a, b, equal_nan=True)
+
+
+OLD, NEW = 9.0, 5.0  # m/s
+
+
+@pytest.fixture
+def projected() -> Iterator[list[int]]:
+    """How many lines were projected, call by call."""
+    plain, calls = ReferenceLine.project_lines, list[int]()
+
+    def counted(self: ReferenceLine, lines: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+        calls.append(len(lines))
+        return plain(self, lines)
+
+    with patch.object(ReferenceLine, "project_lines", counted):
+        yield calls
+
+
+def through_the_city(speed_limit: float) -> Route:
+    line = corner(10 * BLOCK)
+    goal = Goal(x=float(line[-1, 0]), y=float(line[-1, 1]), radius=3.0)
+    return Route(reference=line, goal=goal, speed_limit=speed_limit)
+
+
+def renewed(resend: bool, projected: list[int]) -> tuple[list[Plan], list[int]]:
+    """Plans from the moment a city and a slower route replace a road without a map, and the lines projected for each.
+
+    resend: the map comes again, as another object, at every step.
+    """
+    planner = Planner(PlannerSettings(offsets=(0.0,), lengths=((24.0, 5.0),)))
+    plans, lines = list[Plan](), list[int]()
+    ego, blank, whole = ego_at(-700.0, -1.75, 0.0, 7.0), stamped(Map(), 0.0), city(12)
+    before, after = stamped(through_the_city(OLD), 0.0), stamped(through_the_city(NEW), 0.0)
+    for step in range(40):
+        t, new = 0.05 * step, step >= 2
+        road = stamped(Map(lanes=whole.lanes) if resend else whole, 0.0) if new else blank
+        risk = stamped(risk_of(ego, [], t), t)
+        count = sum(projected)
+        plan = planner.step(stamped(ego, t), risk, road, after if new else before, round(t * 1e9))
+        if new:
+            plans.append(plan)
+            lines.append(sum(projected) - count)
+        ego = follow(plan, ego, 0.05)
+    return plans, lines
+
+
+@pytest.mark.long
+def test_while_a_city_is_prepared_the_planner_drives_on_over_the_old_road(projected: list[int]):
+    plans, lines = renewed(False, projected)
+    assert {p.mode for p in plans} == {"drive"}
+    wanted = np.array([p.desired_speed for p in plans])
+    assert wanted[0] > NEW + 0.5
+    assert wanted[-1] <= NEW + 0.1
+    assert 1 < np.count_nonzero(lines) < 20
+    assert max(lines) <= 160 < sum(lines)
+
+
+@pytest.mark.long
+def test_a_map_that_comes_again_before_it_is_prepared_still_comes_into_force(projected: list[int]):
+    plans, lines = renewed(True, projected)
+    assert {p.mode for p in plans} == {"drive"}
+    assert plans[-1].desired_speed <= NEW + 0.1
+    assert max(lines) <= 160
