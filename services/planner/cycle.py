@@ -185,7 +185,8 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
     )
     footprint = _footprint(scene, settings)
     off = _beside_lane(road.lanes, paths)
-    leaves = np.abs(off[:, -1] - off[:, 0]) > _LEAVES
+    moved: F64 = np.abs(off[:, -1] - off[:, 0])
+    leaves = moved > _LEAVES
     risk = path_risk(
         scene.volume,
         footprint,
@@ -197,7 +198,7 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
         r_hit=settings.r_hit,
         r0=settings.r0,
     )
-    risk = without(risk, _pushers(scene, paths, footprint, leaves, settings), ~leaves)
+    risk = without(risk, _pushers(scene, paths, footprint, moved, settings), ~leaves)
     cap = _cap(scene, paths, risk.known, footprint, settings)
     fresh = len(targets) - len(targets) % len(settings.lengths)
     return _Sampled(frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max), scene.volume)
@@ -213,12 +214,9 @@ def _beside_lane(lanes: RouteLanes, paths: Paths) -> F64:
     return np.asarray(paths.d - track.centre[lanes.index(paths.s)])
 
 
-def _pushers(
-    scene: Scene, paths: Paths, footprint: Footprint, leaves: npt.NDArray[np.bool_], settings: PlannerSettings
-) -> frozenset[int]:
-    """Who would run into the ego from behind if it went on as it does."""
-    off = _beside_lane(scene.road.lanes, paths)
-    k = int(np.argmin(np.where(leaves, 1e3, np.abs(off[:, -1] - off[:, 0])) - 1e-3 * paths.length))
+def _pushers(scene: Scene, paths: Paths, footprint: Footprint, moved: F64, settings: PlannerSettings) -> frozenset[int]:
+    """Who would run into the ego from behind if it went on as it does; `moved`: how far paths leave their lane [n]."""
+    k = int(np.argmin(np.where(moved > _LEAVES, 1e3, moved) - 1e-3 * paths.length))
     t: F64 = np.asarray(DT * np.arange(round(settings.horizon_s / DT) + 1), dtype=np.float64)
     path = Path.of(paths, k)
     x, y, heading, _ = path.at(scene.start.speed * t)

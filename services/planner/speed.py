@@ -3,9 +3,9 @@
 - Speed law (algorithm 1): S = S_max · clamp((r1 − r) / (r1 − r0), 0, 1).
 - Contact: s_hit is the first place at or beyond s where the footprint's risk reaches r_hit, its crossing interpolated
   (the first sample instead makes a limit cycle).
-- Stop speed: the ego may be as fast as lets it react for the headway and stop with b_stop short of the gap:
-  v·headway + v²/(2 b) ≤ s_hit − gap − s + u²/(2 b), where u is the speed at which the contact itself moves away. With
-  u = 0 this is V_stop; behind a lead of the same speed it leaves gap + headway.
+- Stop speed (held by the rollouts): the ego may be as fast as lets it react for the headway and stop with b_stop short
+  of the gap: v·headway + v²/(2 b) ≤ s_hit − gap − s + u²/(2 b), where u is the speed at which the contact itself moves
+  away. With u = 0 this is V_stop; behind a lead of the same speed it leaves gap + headway.
 - Cap: curve speed sqrt(a_lat / |κ|), lane limits, the goal, the end of the line and the first unknown point, each with
   the way to brake before it.
 """
@@ -42,12 +42,6 @@ def contact_distance(risk: npt.NDArray[np.floating], r_hit: float, step: float) 
     w = np.clip((r_hit - a) / np.maximum(b - a, 1e-9), 0.0, 1.0)
     at[..., :-1] = np.where(rising, stations[:-1] + w * step, at[..., :-1])
     return np.asarray(np.minimum.accumulate(at[..., ::-1], axis=-1)[..., ::-1])
-
-
-def stop_speed(room: npt.ArrayLike, headway: float, brake: float) -> F64:
-    """Largest v with v·headway + v²/(2·brake) ≤ room [m]; 0 where there is none."""
-    room = np.maximum(np.asarray(room, dtype=np.float64), 0.0)
-    return np.asarray(-brake * headway + np.sqrt((brake * headway) ** 2 + 2.0 * brake * room))
 
 
 def curve_speed(curvature: F64, step: float, lateral_accel: float, max_rate: float) -> F64:

@@ -12,7 +12,7 @@ from services.planner.core import Planner
 from services.planner.footprint import Footprint, PathRisk, path_risk
 from services.planner.rollout import Field, Tier, roll_out
 from services.planner.settings import PlannerSettings
-from services.planner.speed import FAR, Cap, contact_distance, stop_speed
+from services.planner.speed import FAR, Cap, contact_distance
 from services.planner.volume import Volume
 from tests.planner.worlds import (
     WHEELBASE,
@@ -278,13 +278,6 @@ def test_no_contact_is_far_and_contact_behind_does_not_count():
     distance = contact_distance(risk, 0.8, STEP)
     assert distance[0] < 5.0
     assert np.all(distance[8:] == FAR)
-
-
-def test_the_stop_speed_stops_short_of_the_gap():
-    for room in (0.0, 1.0, 10.0, 60.0):
-        v = float(stop_speed(room, 0.9, 4.0))
-        assert abs(v * 0.9 + v * v / 8.0 - room) < 1e-6
-    assert stop_speed(-3.0, 0.9, 4.0) == 0.0
 
 
 def test_an_obstacle_does_not_fall_out_of_the_horizon_as_the_ego_slows():
