@@ -100,6 +100,7 @@ def main() -> None:
     metres = parser.parse_args().metres
     tree = config.load()
     with open_bus(config.section(tree, "bus", BusSettings), config.vehicle(tree), "vehicle") as bus:
+        bus.liveliness("vehicle")  # says that the vehicle is there: no replay takes its place
         ego, objects = bus.publisher(topics.EGO), bus.publisher(topics.OBJECTS)
         plans = bus.inbox(topics.PLAN)
         latched = bus.publisher(topics.MAP), bus.publisher(topics.ROUTE)  # kept: they serve whoever comes later
