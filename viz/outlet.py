@@ -216,6 +216,9 @@ class Files(Outlet):
     def close(self) -> None:
         """Finish every piece; bounded in time."""
         end = time.monotonic() + CLOSE_S
+        if self._opening is not None:  # a piece that was just begun ends as whole as the others
+            self._opening.done.wait(START_S)
+            self._adopt()
         super().close()
         for thread in self._finishing:
             thread.join(max(end - time.monotonic(), 0.0))

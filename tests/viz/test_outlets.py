@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import resource
 import signal
@@ -73,7 +74,7 @@ def test_each_piece_is_whole_and_holds_what_stands(tmp_path):
             nonlocal k
             noise(recorder, k)
             k += 1
-            return len(pieces()) >= 4
+            return recorder.detail.get("pieces", "").startswith("4 begun")
 
         until(another, every_s=0.02, within_s=60, what="four pieces")
         synthetic.give(scene, heard[20:])
@@ -93,6 +94,14 @@ def test_each_piece_is_whole_and_holds_what_stands(tmp_path):
     assert len(ids) == 1  # opened together they are one recording
     last = others[-1]
     assert rows(last, "/world/plan/profile"), "and what came later is drawn into the last"
+
+
+def test_a_piece_that_was_only_just_begun_at_the_end_is_whole(tmp_path):
+    s = VizSettings(record=str(tmp_path) + "/", rotate_mib=0.5, flush_s=0.05)
+    with recording(s, "synthetic", blueprint()) as recorder:
+        k = itertools.count()
+        until(lambda: noise(recorder, next(k)) or len(list(tmp_path.iterdir())) == 2, every_s=0.02, within_s=60)
+    assert all(verified(path) for path in tmp_path.iterdir())
 
 
 def test_a_week_on_a_small_disk_stays_within_its_budget(tmp_path):
