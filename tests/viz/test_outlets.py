@@ -96,8 +96,17 @@ def test_each_piece_is_whole_and_holds_what_stands(tmp_path):
     assert rows(last, "/world/plan/profile"), "and what came later is drawn into the last"
 
 
-def test_a_piece_that_was_only_just_begun_at_the_end_is_whole(tmp_path):
+def test_a_piece_that_was_only_just_begun_at_the_end_is_whole(tmp_path, monkeypatch):
     s = VizSettings(record=str(tmp_path) + "/", rotate_mib=0.5, flush_s=0.05)
+    opens, ends = outlet.Files._stream, threading.Event()
+
+    def slowly(self, sink):
+        rec = opens(self, sink)
+        if self.begun:
+            ends.wait(0.5)  # a slow disk: the end comes first
+        return rec
+
+    monkeypatch.setattr(outlet.Files, "_stream", slowly)
     with recording(s, "synthetic", blueprint()) as recorder:
         k = itertools.count()
         until(lambda: noise(recorder, next(k)) or len(list(tmp_path.iterdir())) == 2, every_s=0.02, within_s=60)
