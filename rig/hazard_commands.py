@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from common import config
 from common.config import ConfigError
 from rig import configuration
 from rig.exits import exits, writable, write
@@ -49,11 +50,12 @@ def eval_hazards(
     from evaluation.hazards import command
 
     with exits():
-        tree = configuration.load(config_, set_ or [])
+        configuration.load(config_, set_ or [])  # names what cannot be used
+        told = config.load(config_, set_ or [])  # defaults left out: the alarm has its own
         writable("--json", json_)
         writable("--plot", plot)
         result = command.run(
-            tree, seed=seed, count=count, tune=tune, with_traffic=traffic, jobs=jobs, console=Console(stderr=True)
+            told, seed=seed, count=count, tune=tune, with_traffic=traffic, jobs=jobs, console=Console(stderr=True)
         )
         if json_ is not None:
             write(json_, result)

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace as replace_struct
 from rich.console import Console
+from typer.testing import CliRunner
 
 from common.config import ConfigError
 from common.geometry import Polyline
@@ -29,6 +31,7 @@ from evaluation.hazards.truth import Truth
 from evaluation.hazards.ttc import HORIZON_S, ttc_2d, ttc_lane
 from evaluation.hazards.watch import SLACK, Cores, FieldWatcher, Seen, watch
 from evaluation.hazards.work import Work
+from rig.application import app
 from rig.report import finite
 from rig.sources import load_scenario
 from rig.world import ego_at
@@ -412,3 +415,17 @@ def test_the_configuration_goes_over_the_alarms_own_settings():
     assert Cores.of({}) == Cores()
     with pytest.raises(ConfigError):
         Cores.of({"predictor": {"swerve": 1}})
+
+
+@pytest.mark.parametrize(("told", "past"), [([], 10), (["--set", "predictor.past_frames=7"], 7)])
+def test_the_command_watches_with_the_alarms_own_settings(told, past, monkeypatch):
+    used = []
+
+    def run(tree, **more):
+        used.append(Cores.of(tree))
+        raise ConfigError("enough")
+
+    monkeypatch.setattr(command, "run", run)
+    result = CliRunner().invoke(app, ["eval", "hazards", "--seed", "7", *told])
+    assert result.exit_code == 2
+    assert used[0].predictor == replace_struct(Cores().predictor, past_frames=past)
