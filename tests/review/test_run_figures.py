@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from evaluation.figures.run_figures import RUN_FIGURES
 from evaluation.figures.run_overtaking import BACK_M, BEGINS_M, moments
 from evaluation.figures.run_scenes import run
+from evaluation.figures.run_turns import crossing_moments, shares, u_turn_moments
 
 
 @given(
@@ -33,6 +34,22 @@ def test_the_frames_follow_the_manoeuvre(begin: float, high: float, back: float,
 def test_without_a_manoeuvre_there_still_are_four_frames() -> None:
     s = np.linspace(0.0, 100.0, 101)
     assert len(moments(s, np.zeros(101), np.full(101, 50.0))) == 4
+
+
+@given(angle=st.sampled_from((np.pi, np.pi / 2, -np.pi / 2)), begin=st.floats(4.0, 8.0), first=st.floats(-4.0, 4.0))
+@settings(max_examples=60, deadline=None)
+def test_the_frames_of_a_turn_follow_the_heading_and_the_slowest_moment_comes_before_it(
+    angle: float, begin: float, first: float
+) -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    heading = first + angle * np.clip((t - begin) / 5.0, 0.0, 1.0)
+    share = shares((heading + np.pi) % (2 * np.pi) - np.pi)
+    speed = 5.0 + np.abs(t - begin + 1.0)
+    assert share[0] == 0.0 and abs(share[-1] - 1.0) < 1e-9
+    begins, half, done = (k for k, _ in u_turn_moments(speed, share))
+    assert begins < half < done and abs(t[half] - begin - 2.5) <= 0.1001
+    waits, crosses, across = (k for k, _ in crossing_moments(speed, share))
+    assert abs(t[waits] - begin + 1.0) <= 0.1 and waits < crosses < across
 
 
 @pytest.mark.slow
