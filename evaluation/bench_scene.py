@@ -20,9 +20,9 @@ MASS = {ObjectClass.CAR: 1500.0, ObjectClass.TRUCK: 12000.0, ObjectClass.PEDESTR
 
 
 class BenchScene:
-    """`n` road users, 20 cars to 4 trucks to 8 pedestrians."""
+    """`n` road users, 20 cars to 4 trucks to 8 pedestrians; with `lead` one of them ahead in the ego's lane."""
 
-    def __init__(self, n: int, seed: int = 0) -> None:
+    def __init__(self, n: int, seed: int = 0, *, lead: bool = True) -> None:
         rng = np.random.default_rng(seed)
         kinds = [ObjectClass.CAR] * 5 + [ObjectClass.TRUCK] + [ObjectClass.PEDESTRIAN] * 2
         self._cls = np.array([kinds[i % len(kinds)] for i in range(n)], dtype=np.uint8)
@@ -31,8 +31,8 @@ class BenchScene:
         self._x0: F64 = rng.uniform(*WINDOW, n)
         self._v: F64 = np.where(walks, 1.3 * rng.choice([-1, 1], n), EGO_SPEED + rng.uniform(-3.0, 3.0, n))
         self._y: F64 = np.where(walks, rng.choice([-1, 1], n) * 10.5, lane * LANE_WIDTH)
-        lead = np.flatnonzero(self._cls == ObjectClass.CAR)[:1]  # one ahead in the ego's lane, as fast as the ego
-        self._x0[lead], self._y[lead], self._v[lead] = 40.0, 0.0, EGO_SPEED
+        first = np.flatnonzero(self._cls == ObjectClass.CAR)[: int(lead)]  # ahead in the ego's lane, as fast as the ego
+        self._x0[first], self._y[first], self._v[first] = 40.0, 0.0, EGO_SPEED
         sizes = np.array([SIZES[ObjectClass(c)] for c in self._cls]).reshape(-1, 2)
         self._length, self._width = sizes[:, 0].copy(), sizes[:, 1].copy()
         self._mass: F64 = np.array([MASS[ObjectClass(c)] for c in self._cls], dtype=np.float64)
@@ -41,16 +41,17 @@ class BenchScene:
         """The ego at `t` [s]."""
         return ego_at(100.0 + EGO_SPEED * t, 0.0, 0.0, EGO_SPEED)
 
-    def objects(self, t: float) -> Objects:
-        """Everyone else at `t` [s]."""
+    def objects(self, t: float, ego_x: float | None = None) -> Objects:
+        """Everyone else at `t` [s], around an ego at `ego_x` [m] if it is not where it should be."""
         span = WINDOW[1] - WINDOW[0]
-        laps, relative = np.divmod(self._x0 + (self._v - EGO_SPEED) * t - WINDOW[0], span)
+        x = 100.0 + EGO_SPEED * t if ego_x is None else ego_x
+        laps, relative = np.divmod(self._x0 + self._v * t + 100.0 - x - WINDOW[0], span)
         n = len(self._cls)
         ids: I64 = np.arange(n, dtype=np.int64) + n * (laps.astype(np.int64) + 1000)
         return Objects(
             id=ids,
             cls=self._cls,
-            x=relative + WINDOW[0] + 100.0 + EGO_SPEED * t,
+            x=relative + WINDOW[0] + x,
             y=self._y,
             heading=np.where(self._v < 0, np.pi, 0.0),
             vx=self._v,

@@ -139,7 +139,7 @@ def launch(tree: Tree, names: Sequence[str], *, logs: Path | None = None) -> Ite
         try:
             for name in names:
                 log = stack.enter_context(_log(logs, name))
-                children.append(_start(name, config, log))
+                children.append(start(name, (MODULES[name],), config, log))
             crew = Crew(children)
             yield crew
         finally:
@@ -156,9 +156,21 @@ def _log(folder: Path | None, name: str) -> IO[bytes]:
         raise ConfigError(f"--logs {folder}: {e.strerror}") from None
 
 
-def _start(name: str, config: IO[bytes], log: IO[bytes]) -> Child:
+def start(name: str, module: Sequence[str], config: IO[bytes], log: IO[bytes], *, within: Sequence[str] = ()) -> Child:
+    """Start one process that ends with the thread that started it.
+
+    Args:
+        name: what it is called.
+        module: its module and that one's arguments.
+        config: file with its configuration.
+        log: file that receives its output.
+        within: a command before it, such as `ip netns exec NAME`.
+
+    Raises:
+        LaunchError: it cannot be started.
+    """
     environment = _environment() | {"FOREFIELD_CONFIG": f"/proc/self/fd/{config.fileno()}"}
-    command = [sys.executable, "-P", "-m", "rig.child", str(os.getpid()), MODULES[name]]
+    command = [*within, sys.executable, "-P", "-m", "rig.child", str(os.getpid()), *module]
     try:
         process = subprocess.Popen(
             command,

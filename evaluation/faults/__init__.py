@@ -1,0 +1,1 @@
+"""Faults on purpose, in real processes on a real router, and what the vehicle hears meanwhile: `make faults`."""
