@@ -103,6 +103,11 @@ class Inbox:
             self._health.count(f"{self.topic.suffix}:{e.reason}")
             log.debug("%s refused: %s", self.topic.suffix, e)
             return None
+        except Exception as e:  # a mistake of ours: whatever arrives, it must not end the process
+            self._monitor.refused()
+            self._health.count(f"{self.topic.suffix}:failed_{type(e).__name__}")
+            log.exception("%s could not be read", self.topic.suffix)
+            return None
         self._monitor.accepted(self.latest.capture_ns)
         return self.latest
 

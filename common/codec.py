@@ -23,6 +23,12 @@ from common.topics import VERSION_MAJOR, Topic
 MAX_CONTAINERS = 200_000
 """Maps and arrays in one message, all depths together."""
 
+MAX_ITEMS = 500_000
+"""What they hold, entries of maps and elements of arrays together: a byte on the wire may cost a hundred in memory."""
+
+MAX_ARRAY = 20_000
+"""Elements of one MessagePack array: the lanes of the largest map. Numbers in arrays travel as binary."""
+
 MAX_DIMENSION = 2**24
 """Largest length of an array along one dimension: an array without bytes must not claim millions of rows either."""
 
@@ -111,7 +117,9 @@ def decode_body(topic: Topic, header: Header, payload: bytes) -> Message:
         if isinstance(inner, _ArrayError):
             raise RefusedError(inner.reason, str(e)) from None
         text = str(e)
-        raise RefusedError("range" if ("<=" in text or ">=" in text or "`>" in text) else "type", text) from None
+        raise RefusedError(
+            "range" if any(sign in text for sign in ("<=", ">=", "` >", "` <")) else "type", text
+        ) from None
     except OverflowError as e:
         raise RefusedError("range", str(e)) from None
     check(message)
@@ -165,19 +173,26 @@ def _read_array(kind: type, value: Any) -> Any:
 
 def _from_bytes(dtype: Any, shape: Any, data: Any) -> np.ndarray[Any, Any]:
     if not isinstance(dtype, str) or dtype not in _DTYPES:
-        raise _ArrayError("dtype", f"{dtype!r:.40}")
+        raise _ArrayError("dtype", _shown(dtype))
     if (
         not isinstance(shape, list)
         or len(shape) > 4
         or not all(type(n) is int and 0 <= n <= MAX_DIMENSION for n in shape)
     ):
-        raise _ArrayError("shape", f"{shape!r:.60}")
+        raise _ArrayError("shape", _shown(shape))
     if not isinstance(data, bytes | memoryview):
         raise _ArrayError("type", "array data must be binary")
     expected = math.prod(shape) * np.dtype(dtype).itemsize
     if expected != len(data):
         raise _ArrayError("shape", f"shape {shape} of {dtype} needs {expected} bytes, got {len(data)}")
     return np.frombuffer(data, dtype=dtype).reshape(shape)
+
+
+def _shown(value: Any) -> str:
+    """A value that arrived, for a reason: short, and never by `repr` of what may be nested a thousand deep."""
+    if isinstance(value, list) and len(value) <= 4 and all(type(n) is int for n in value):
+        return str(value)
+    return repr(value[:40]) if isinstance(value, str | bytes) else type(value).__name__
 
 
 class _ArrayError(ValueError):
@@ -196,9 +211,9 @@ def _risk_fields(header: Header, payload: bytes) -> dict[str, Any]:
         raise RefusedError("header_malformed", "`grid` and `volume` must be maps")
     dtype, shape = volume.get("dtype"), volume.get("shape")
     if not isinstance(dtype, str) or dtype not in ("<f2", "<f4"):
-        raise RefusedError("dtype", f"volume {dtype!r:.40}")
+        raise RefusedError("dtype", f"volume {_shown(dtype)}")
     if not isinstance(shape, list) or len(shape) != 3 or not all(type(n) is int and 0 < n < 2**20 for n in shape):
-        raise RefusedError("shape", f"volume {shape!r:.60}")
+        raise RefusedError("shape", f"volume {_shown(shape)}")
     size = math.prod(shape) * np.dtype(dtype).itemsize
     blocks = [shape[0], -(-shape[1] // BLOCK), -(-shape[2] // BLOCK)]
     if size + math.prod(blocks) != len(payload):
@@ -291,13 +306,16 @@ def _extremes(value: np.ndarray[Any, Any]) -> tuple[Any, Any]:
 
 
 def _unpack(data: bytes, reason: str) -> Any:
-    count = 0
+    containers = items = 0
 
     def counted(value: Any) -> Any:
-        nonlocal count
-        count += 1
-        if count > MAX_CONTAINERS:
+        nonlocal containers, items
+        containers += 1
+        items += len(value)
+        if containers > MAX_CONTAINERS:
             raise ValueError(f"more than {MAX_CONTAINERS} maps and arrays")
+        if items > MAX_ITEMS:
+            raise ValueError(f"more than {MAX_ITEMS} entries and elements")
         return value
 
     def no_extension(code: int, _: bytes) -> Any:
@@ -311,8 +329,9 @@ def _unpack(data: bytes, reason: str) -> Any:
             ext_hook=no_extension,
             strict_map_key=True,
             max_str_len=4096,
-            max_array_len=65536,
-            max_map_len=4096,
+            # what claims more than its bytes could hold is refused before memory is taken for it
+            max_array_len=min(MAX_ARRAY, len(data)),
+            max_map_len=min(4096, len(data)),
             max_ext_len=0,
             max_bin_len=len(data),
         )

@@ -393,7 +393,7 @@ class Status(Message, frozen=True, kw_only=True):
     uptime_s: NonNegative
     inputs: dict[str, InputHealth] = {}
     counters: dict[str, int] = {}  # `topic:reason` → how often
-    work_ms: dict[str, float] = {}  # p50, p95, p99, max of the last messages
+    work_ms: dict[str, Finite] = {}  # p50, p95, p99, max of the last messages
     detail: dict[str, str] = {}  # what the service adds about itself
 
 
