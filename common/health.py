@@ -14,6 +14,7 @@ from itertools import accumulate
 import numpy as np
 
 from common.clock import Clock
+from common.lag import Lag
 from common.messages import InputHealth, State, Status
 from common.topics import Topic
 
@@ -97,6 +98,7 @@ class Health:
         self._work: deque[float] = deque(maxlen=WORK_WINDOW)
         self._work_counts = [0] * (len(WORK_BUCKETS_S) + 1)
         self._work_sum_s = 0.0
+        self._lag = Lag()
         self._lock = threading.Lock()
 
     def input(self, topic: Topic) -> InputMonitor:
@@ -119,6 +121,14 @@ class Health:
     def turned(self) -> None:
         """The loop made a turn."""
         self._turned_ns = self._clock()
+        with self._lock:
+            self._lag.turned(self._turned_ns)
+
+    def late(self, by_ns: int) -> None:
+        """A result was sent so long after it was due that its deadline was missed [ns]."""
+        with self._lock:
+            self.counters[DEADLINE] += 1
+            self._lag.late(self._clock(), by_ns)
 
     def worked(self, work_ns: int) -> None:
         """One message took this long from arrival to put [ns]."""
@@ -129,7 +139,7 @@ class Health:
 
     @property
     def state(self) -> State:
-        """What was said last."""
+        """What was said last; that a working service lags is added to its status."""
         return self._state
 
     @property
@@ -149,16 +159,17 @@ class Health:
             return [(e, float(n)) for e, n in zip(ends, accumulate(self._work_counts), strict=True)], self._work_sum_s
 
     def status(self) -> Status:
-        """The status message of this moment."""
+        """The status message of this moment; what lags is `degraded`, whatever was said."""
         now = self._clock()
         with self._lock:
             work = np.array(self._work)
             inputs = {name: monitor.view(now) for name, monitor in self._inputs.items()}
+            lag = self._lag.words(now) if self._state in ("waiting", "ready", "degraded") else ""
             p50, p95, p99, top = np.percentile(work, [50, 95, 99, 100]) if len(work) else (0.0,) * 4
             return Status(
                 service=self.service,
-                state=self._state,
-                reason=self._reason[:1000],
+                state="degraded" if lag else self._state,
+                reason=(f"{lag}; {self._reason}" if lag else self._reason)[:1000],
                 uptime_s=(now - self._started_ns) * 1e-9,
                 inputs=inputs,
                 counters=dict(self.counters),

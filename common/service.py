@@ -23,9 +23,10 @@ from common.bus import Bus, BusSettings, Inbox, NoRouterError, Publisher, open_b
 from common.clock import monotonic
 from common.codec import RefusedError
 from common.config import ConfigError, Tree
-from common.health import DEADLINE, Health
+from common.health import Health
 from common.messages import Cause, Message, Stamped, State, StepInputs, Used
 from common.process import Ending, ServiceSettings, reporting
+from common.rhythm import Rhythm, sooner_ns
 from common.topics import STATUS_OF, Topic
 
 log = logging.getLogger("forefield")
@@ -47,6 +48,8 @@ class Output:
     """When the input it rests on arrived, or when the step began [ns]."""
     state: State = "ready"
     reason: str = "running"
+    again_ns: int | None = None
+    """Step again at this moment at the latest, when something that was used will have become too old [ns]."""
     step: StepInputs | None = None
     """Filled in by the loop: what the step had before it."""
 
@@ -109,7 +112,13 @@ class Service:
     sends_aside: bool = False
     """Large messages are packed and sent by a second thread while the next step runs."""
     grace_s: float = 0.0
-    """A trigger that comes after the period by no more than this is waited for [s]."""
+    """A trigger that is late by no more than this is waited for [s]."""
+
+    def rhythm(self) -> Rhythm:
+        """When it steps; triggers are expected at the middle of their topic's rates."""
+        rates = self.trigger.rate_hz
+        interval = None if rates is None else round(2e9 / sum(rates))
+        return Rhythm(round(self.period_s * 1e9), interval, round(self.grace_s * 1e9))
 
 
 def main(service: Service) -> int:
@@ -156,6 +165,7 @@ def _loop(
     stop: threading.Event,
 ) -> None:  # fmt: skip
     due_ns = monotonic()
+    rhythm = service.rhythm()
     new: set[str] = set()
     health.say("waiting", "waiting for " + ", ".join(t.suffix for t in service.subscribes))
     with _sender(service, health, output) as send:
@@ -166,15 +176,15 @@ def _loop(
             now = monotonic()
             if now < due_ns and service.trigger.suffix not in new:
                 continue
-            # counted from now, not from when it was due: a late turn is not followed by a burst
             triggered = service.trigger.suffix in new
             wanted_ns = now if triggered else due_ns
-            due_ns = now + round((service.period_s + (service.grace_s if triggered else 0.0)) * 1e9)
+            due_ns = rhythm.due_ns(now, triggered)
             inputs = Inputs(inboxes, now, frozenset(new))
             new = set()
             before = inputs.named()
             result = _step(health, step, inputs)
             if isinstance(result, Output):
+                due_ns = sooner_ns(due_ns, result.again_ns, now)
                 send(replace(result, step=before), min(wanted_ns, result.arrived_ns))
             else:
                 _say(health, result)
@@ -217,8 +227,9 @@ def _send(service: Service, health: Health, output: Publisher, result: Output, w
         )  # fmt: skip
         health.worked(output.last_work_ns)
         health.count(f"{suffix}:sent")
-        if (monotonic() - wanted_ns) * 1e-9 > service.period_s:
-            health.count(DEADLINE)
+        late_ns = monotonic() - wanted_ns
+        if late_ns * 1e-9 > service.period_s:
+            health.late(late_ns)
         _say(
             health,
             result,

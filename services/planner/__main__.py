@@ -1,7 +1,7 @@
 """The planner as a process: ego, map, route and risk in, plan out, 20 times a second whatever arrives.
 
-It steps when new risk arrives and 50 ms after its last step otherwise (70 ms after a step on new risk, so that with
-risk at 10 Hz the second step lies between two risks instead of just before the next).
+It steps when new risk arrives and 50 ms after its last step otherwise; a step that would fall just before the next risk
+waits for it (10 ms at most). When the risk or the ego in use becomes too old it steps at that very moment.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ def build(tree: config.Tree, health: Health) -> Step:
             None if risk is None else risk.cause,
             risk.received_ns if risk is not None and renewed else inputs.now_ns,
             *(("ready", "driving") if plan.mode == "drive" else ("waiting", f"{plan.mode}: {plan.reason}")),
+            again_ns=core.expires_ns(ego, risk, inputs.now_ns),
         )
 
     return step
@@ -43,7 +44,7 @@ SERVICE = Service(
     publishes=topics.PLAN,
     trigger=topics.RISK,
     period_s=0.05,
-    grace_s=0.02,  # at 10 Hz the second step lies between two risks, and is not begun just before the next arrives
+    grace_s=0.01,  # no step is begun just before the next risk arrives
     build=build,
 )
 

@@ -173,6 +173,15 @@ class Planner:
         """
         return now_ns if ego is None or self._is_old(ego, now_ns) else ego.capture_ns
 
+    def expires_ns(self, ego: Stamped[Ego] | None, risk: Stamped[Risk] | None, now_ns: int) -> int | None:
+        """When the first of what is now in use will be too old; None: nothing will, there is none or it is already."""
+        ends = [
+            message.capture_ns + round(limit * 1e9) + 1
+            for message, limit in ((ego, self._settings.max_ego_age), (risk, self._settings.max_risk_age))
+            if message is not None
+        ]
+        return min((end for end in ends if end > now_ns), default=None)
+
     def _is_old(self, ego: Stamped[Ego], now_ns: int) -> bool:
         return not (ego.age_s(now_ns) <= self._settings.max_ego_age)
 
