@@ -210,6 +210,11 @@ class Publisher:
             self.last_work_ns = header.work_ns
             return Cause(self._boot, header.seq)
 
+    def skip(self) -> None:
+        """Leave a number out: what was made but not sent is missing for whoever repeats a recording."""
+        with self._lock:
+            self._seq += 1
+
     def put_raw(self, attachment: bytes | None, payload: bytes, encoding: str) -> None:
         """Send what was recorded, as it is: nothing is checked here, the receivers do."""
         self._raw.put(payload, attachment=attachment, encoding=encoding)

@@ -49,7 +49,7 @@ class Output:
     state: State = "ready"
     reason: str = "running"
     again_ns: int | None = None
-    """Step again at this moment at the latest, when something that was used will have become too old [ns]."""
+    """When something that was used becomes too old [ns]: the next step is due then, and this is not sent after it."""
     step: StepInputs | None = None
     """Filled in by the loop: what the step had before it."""
 
@@ -183,11 +183,22 @@ def _loop(
             new = set()
             before = inputs.named()
             result = _step(health, step, inputs)
+            if _too_late(result):  # as of now, the step knows what is too old
+                health.count(f"{service.publishes.suffix}:not_sent_too_late")
+                output.skip()
+                inputs = Inputs(inboxes, monotonic(), frozenset())
+                before = inputs.named()
+                result = _step(health, step, inputs)
             if isinstance(result, Output):
                 due_ns = sooner_ns(due_ns, result.again_ns, now)
                 send(replace(result, step=before), min(wanted_ns, result.arrived_ns))
             else:
                 _say(health, result)
+
+
+def _too_late(result: Output | Idle) -> bool:
+    """Whether what a result rests on became too old while it was made."""
+    return isinstance(result, Output) and result.again_ns is not None and monotonic() >= result.again_ns
 
 
 def _step(health: Health, step: Step, inputs: Inputs) -> Output | Idle:

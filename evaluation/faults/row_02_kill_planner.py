@@ -51,6 +51,8 @@ def run(scale: Scale, seed: int, say: Say) -> Row:
         s.watch.keep_raw = kept.append
         for i in range(n):
             s.settle()
+            kept.clear()
+            until(lambda: len(kept) == REPLAYED, 10.0, "plans to be said again later")
             lives.append(killed(s, kept))
             say(f"{i + 1} of {n}: new plan after {lives[-1].plan_s:.2f} s, tail driven for {lives[-1].tail_s:.2f} s")
     tails = sum(1 for life in lives if life.tail_s > 0 and not life.others and life.off <= TRACKING)

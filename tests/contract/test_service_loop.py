@@ -103,6 +103,26 @@ def test_a_result_later_than_a_period_is_a_deadline_missed(toy: Toy) -> None:
     assert status.counters["deadline:missed"] <= status.counters["prediction:sent"]
 
 
+def test_a_result_whose_basis_became_too_old_meanwhile_is_not_sent_and_the_next_step_knows_it(toy: Toy) -> None:
+    heard: list[tuple[float, int]] = []
+
+    def answered() -> bool:
+        stamped = toy.prediction.take()
+        if stamped is not None:
+            heard.append((float(stamped.value.x0[0]), stamped.seq))
+        else:
+            toy.send(-5.0)
+        return any(code == 6.0 for code, _ in heard)
+
+    until(answered, every_s=0.2, what="the answer as of now")
+    assert all(code == 6.0 for code, _ in heard)
+    assert heard[0][1] > 0, "the number of what was not sent is left out"
+    status = until(
+        lambda: (s := toy.status()) and s.counters.get("prediction:not_sent_too_late") and s, what="the count"
+    )
+    assert status.counters["prediction:sent"] >= 1
+
+
 def test_a_fatal_error_ends_the_process_with_code_1(toy: Toy) -> None:
     toy.send(-3.0)
     assert toy.process.wait(10) == 1
