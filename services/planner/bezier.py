@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from services.planner.backend import kernels
 from services.planner.reference import ReferenceLine
 
 F64 = npt.NDArray[np.float64]
@@ -100,6 +101,7 @@ def build_paths(
     step: float,
     points: int,
     max_curvature: float,
+    reference_form: bool = False,
 ) -> Paths:
     """Paths from the start to each target within its length.
 
@@ -112,7 +114,18 @@ def build_paths(
         step: Distance between the points of a path [m].
         points: How many of them.
         max_curvature: What is tighter ends the path [1/m].
+        reference_form: Keep to NumPy.
     """
+    names = tuple(t.name for t in targets)
+    if kernels is not None and not reference_form:
+        kinds = list({id(t): t for t in targets}.values())
+        number = {id(t): k for k, t in enumerate(kinds)}
+        line = {"s": s, **vars(reference.at(s))}
+        lines: F64 = np.array([[getattr(t, k) for t in kinds] for k in ("offset", "slope", "bend")])
+        kind = np.array([number[id(t)] for t in targets])
+        built, end = kernels.build(line, start, lines, kind, lengths, step, points, max_curvature)
+        x, y, heading, curvature, along, d = built
+        return Paths(step, x, y, heading, curvature, along, d, end, lengths, names)
     offset, slope, bend = (np.stack([getattr(t, k) for t in targets]) for k in ("offset", "slope", "bend"))
     u = np.clip((s[None] - s[0]) / lengths[:, None], 0.0, 1.0)
     e, first, second = quintic(start[1] - offset[:, 0], start[2] - slope[:, 0], start[3] - bend[:, 0], lengths, u)
@@ -158,5 +171,5 @@ def build_paths(
         even(d),
         end,
         lengths,
-        tuple(t.name for t in targets),
+        names,
     )

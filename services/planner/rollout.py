@@ -15,6 +15,7 @@ Checks, each with the name under which a failure is reported:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -86,7 +87,6 @@ class Field:
     slices: int
     starts: F64  # of the slices [S] [s]
     contact: Contact  # [n, S, p]
-    ahead: Contact  # of what is ahead alone [n, S, p]
     stays: F64  # s_hit − gap of what may stay put [n · p] [m]
     law: F64  # speed law [n · S · p] [m/s]
     law_now: F64  # the same, at the very start of each slice
@@ -96,6 +96,7 @@ class Field:
     s_max: F64  # highest wanted speed at the start of each path [n] [m/s]
     gap: float  # [m]
     swept: float = np.inf  # from when on contact is no brake's to prevent [s]
+    of_ahead: Callable[[], Contact] | None = None  # finds contact with what is ahead; None: no difference
 
     @staticmethod
     def of(
@@ -116,9 +117,10 @@ class Field:
         touch = risk.risk if risk.contact is None else risk.contact
         who = risk.who
         contact = Contact.of(touch, None if who is None else who[0], volume.starts, settings.r_hit, step)
-        ahead = contact
-        if risk.ahead is not None:
-            ahead = Contact.of(risk.ahead, None if who is None else who[1], volume.starts, settings.r_hit, step)
+        ahead, whose = risk.ahead, None if who is None else who[1]
+        of_ahead = None
+        if ahead is not None:
+            of_ahead = lambda: Contact.of(ahead, whose, volume.starts, settings.r_hit, step)  # noqa: E731
         sides = np.stack((risk.risk, risk.risk)) if risk.sides is None else risk.sides
         stays = contact_distance(risk.stays, settings.r_hit, step)
         law, law_now = beside_law(
@@ -137,7 +139,6 @@ class Field:
             touch.shape[1],
             volume.starts,
             contact,
-            ahead,
             np.where(stays < FAR, stays - settings.gap, FAR).ravel(),
             law.ravel(),
             law_now.ravel(),
@@ -147,15 +148,41 @@ class Field:
             s_max,
             settings.gap,
             _swept(risk, volume.starts, settings.r_hit, step, hardest),
+            of_ahead,
         )
 
     @cached_property
     def on_device(self) -> Any:
         """The same for the kernels."""
-        arrays = {name: getattr(self, name) for name in ("law", "law_now", "stays", "cap_squared", "bend", "end")}
-        arrays |= {"hit": self.contact.distance, "rate": self.contact.rate, "away": self.contact.away}
-        arrays |= {"hit_ahead": self.ahead.distance, "rate_ahead": self.ahead.rate}
-        return kernels.RollField(arrays)
+        return kernels.RollField(
+            points=self.points,
+            slices=self.slices,
+            step=self.step,
+            law=self.law,
+            law_now=self.law_now,
+            stays=self.stays,
+            cap=np.sqrt(self.cap_squared),
+            cap_squared=self.cap_squared,
+            bend=self.bend,
+            end=self.end,
+        )
+
+    @cached_property
+    def ahead(self) -> Contact:
+        """Contact of what is ahead alone [n, S, p]: only the harder tiers ask for it."""
+        return self.contact if self.of_ahead is None else self.of_ahead()
+
+    def clock(self, horizon: float) -> tuple[F64, Ints, F64]:
+        """Times of the steps up to a horizon [s], the slice in force at each, and how far into it that is [s]."""
+        if horizon not in self._clocks:
+            times: F64 = np.asarray(DT * np.arange(round(horizon / DT) + 1), dtype=np.float64)
+            slices = np.clip(np.searchsorted(self.starts, times + 1e-9, side="right") - 1, 0, self.slices - 1)
+            self._clocks[horizon] = times, slices, np.clip(times - self.starts[slices], 0.0, None)
+        return self._clocks[horizon]
+
+    @cached_property
+    def _clocks(self) -> dict[float, tuple[F64, Ints, F64]]:
+        return {}
 
 
 def _swept(risk: PathRisk, starts: F64, r_hit: float, step: float, hardest: Motion | None) -> float:
@@ -223,18 +250,27 @@ def roll_out(
         settings: The controller's.
         reference: Keep to NumPy.
     """
-    n = round(settings.horizon_s / DT)
-    times: F64 = np.asarray(DT * np.arange(n + 1), dtype=np.float64)
-    slices = np.clip(np.searchsorted(field.starts, times + 1e-9, side="right") - 1, 0, field.slices - 1)
-    into = np.clip(times - field.starts[slices], 0.0, None)
+    times, slices, into = field.clock(settings.horizon_s)
     if kernels is None or reference:
         return _roll_out(field, start, path, target, hold, tier, settings, times, slices, into)
-    constants = {
-        "points": field.points,
-        "slices": field.slices,
+    found = kernels.roll(field.on_device, constants(field, start, tier, settings), path, target, hold)
+    s, v, a, failure, failed_at = found
+    return Rollouts(times, s, v, a, failure.astype(np.intp), failed_at.astype(np.intp))
+
+
+def constants(field: Field, start: Start, tier: Tier, settings: PlannerSettings) -> dict[str, Any]:
+    """What the kernels need to know besides the field's arrays, by their names."""
+    times, slices, into = field.clock(settings.horizon_s)
+    contact = field.contact if tier.soft else field.ahead
+    return {
+        "steps": len(times) - 1,
+        "slice_of": slices,
+        "into": into,
+        "hit": contact.distance,
+        "rate": contact.rate,
+        "away": contact.away,
         "soft": int(tier.soft),
         "tier": tier.index,
-        "step": field.step,
         "dt": DT,
         "speed": start.speed,
         "acceleration": start.acceleration,
@@ -259,8 +295,6 @@ def roll_out(
         "gap": field.gap,
         "stop_brake": settings.stop_brake,
     }
-    s, v, a, failure, failed_at = kernels.roll(field.on_device, constants, slices, into, path, target, hold)
-    return Rollouts(times, s, v, a, failure.astype(np.intp), failed_at.astype(np.intp))
 
 
 def _look(settings: PlannerSettings) -> float:

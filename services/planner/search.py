@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from services.planner.backend import kernels
 from services.planner.bezier import Paths, Start
 from services.planner.lanes import Neighbour, RouteLanes
-from services.planner.rollout import Field, Rollouts, Tier, roll_out
+from services.planner.rollout import Field, Rollouts, Tier, constants, roll_out
 from services.planner.settings import PlannerSettings
 
 F64 = npt.NDArray[np.float64]
@@ -42,7 +43,13 @@ class Verdict:
 
 
 def search(
-    field: Field, start: Start, settings: PlannerSettings, cost: F64, off_centre: Callable[[F64], F64]
+    field: Field,
+    start: Start,
+    settings: PlannerSettings,
+    cost: F64,
+    off_centre: Callable[[F64], F64],
+    *,
+    reference: bool = False,
 ) -> Verdict:
     """Evaluate every path of the field, going on and stopping apart.
 
@@ -52,15 +59,14 @@ def search(
         settings: The controller's and the checks'.
         cost: What speaks against each path besides its speed [n] [m/s].
         off_centre: How far off a lane's centre each path is at distances [n] [m]: there nobody should stop.
+        reference: Keep to NumPy.
     """
     everything = np.arange(len(field.s_max))
     comfort, firm, *harder = Tier.all(settings)
 
     def both(path: Ints, tier: Tier) -> Verdict:
         """The better of going on for good, and of braking to rest after the hold."""
-        holds = np.repeat([np.inf, settings.hold_s], len(path))
-        found = _highest(field, start, np.tile(path, 2), holds, tier, settings)
-        go, stop = (Verdict(**{k: v[part] for k, v in vars(found).items()}) for part in _halves(len(path)))
+        go, stop = highest(field, start, path, tier, settings, reference=reference)
         rest = np.zeros(len(everything))
         rest[path] = stop.rest
         stop.penalty[:] = settings.stop_off_centre_cost * (off_centre(rest)[path] > _OFF_CENTRE)
@@ -80,10 +86,6 @@ def search(
     return verdict
 
 
-def _halves(n: int) -> tuple[slice, slice]:
-    return slice(0, n), slice(n, 2 * n)
-
-
 def full_brake(field: Field, start: Start, settings: PlannerSettings) -> tuple[int, Rollouts]:
     """Nothing passes: brake with all there is, on the path that meets something last."""
     n = len(field.s_max)
@@ -93,11 +95,45 @@ def full_brake(field: Field, start: Start, settings: PlannerSettings) -> tuple[i
     return int(np.argmax(time_to_hit)), rollouts
 
 
-def _highest(field: Field, start: Start, path: Ints, holds: F64, tier: Tier, settings: PlannerSettings) -> Verdict:
-    """The highest target speed that passes on each path with its hold, both [n]."""
-    n = len(path)
+def highest(
+    field: Field, start: Start, path: Ints, tier: Tier, settings: PlannerSettings, *, reference: bool = False
+) -> tuple[Verdict, Verdict]:
+    """The highest target speed that passes on paths [n], going on for good and braking to rest after the hold.
+
+    What stopping says counts only where it may be faster than going on; elsewhere it may be told to fail.
+    """
     most = max(tier.most * start.speed, min(start.speed, tier.crawl)) if np.isfinite(tier.most) else np.inf
     s_max = np.minimum(field.s_max[path], most)
+    holds = (np.inf, settings.hold_s)
+    if kernels is None or reference:
+        go, stop = (_highest(field, start, path, np.full(len(path), h), s_max, tier, settings) for h in holds)
+        return go, stop
+    values = constants(field, start, tier, settings)
+    shares: F64 = np.linspace(0.0, 1.0, _COARSE + 1)
+    found = kernels.highest(field.on_device, values, path, s_max, shares, _FINE)
+    passed, desired, rest, failure, at, distance = found
+    go, stop = (
+        Verdict(
+            passed[k],
+            desired[k],
+            np.full(len(path), tier.index),
+            np.full(len(path), holds[k]),
+            rest[k],
+            failure[k].astype(np.intp),
+            at[k].astype(np.intp),
+            distance[k],
+            np.zeros(len(path)),
+        )
+        for k in (0, 1)
+    )
+    return go, stop
+
+
+def _highest(
+    field: Field, start: Start, path: Ints, holds: F64, s_max: F64, tier: Tier, settings: PlannerSettings
+) -> Verdict:
+    """The highest target speed up to `s_max` that passes on each path with its hold, all [n]; in NumPy."""
+    n = len(path)
     low, high = np.full(n, -1.0), np.full(n, 1.0)  # shares of s_max: highest passed, next that fails
     zero = np.zeros(n)
     none = np.zeros(n, dtype=np.intp)
@@ -123,7 +159,8 @@ def _highest(field: Field, start: Start, path: Ints, holds: F64, tier: Tier, set
             w = np.arange(1, m + 1) / (m + 1)
             shares = low[rows, None] + w * (high - low)[rows, None]
         targets = (shares * s_max[rows, None]).ravel()
-        r = roll_out(field, start, np.repeat(path[rows], m), targets, np.repeat(holds[rows], m), tier, settings)
+        each = np.repeat(path[rows], m), targets, np.repeat(holds[rows], m)
+        r = roll_out(field, start, *each, tier, settings, reference=True)
         good = r.passed.reshape(len(rows), m)
         best = np.where(good.any(axis=1), m - 1 - np.argmax(good[:, ::-1], axis=1), -1)
         local = np.arange(len(rows))

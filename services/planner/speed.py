@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from services.planner.backend import kernels
+
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
@@ -54,8 +56,11 @@ def curve_speed(curvature: F64, step: float, lateral_accel: float, max_rate: flo
     )
 
 
-def brake_before(cap: F64, step: float, brake: float) -> F64:
-    """Lower a cap [n, p] so that every lower speed ahead can be reached with `brake` [m/s²]."""
+def brake_before(cap: F64, step: float, brake: float, *, reference: bool = False) -> F64:
+    """Lower a cap [n, p] so that every lower speed ahead can be reached with `brake` [m/s²]; else NumPy alone."""
+    if kernels is not None and not reference:
+        lowered: F64 = kernels.brake_before(cap, step, brake)
+        return lowered
     squared = cap**2
     for i in range(cap.shape[1] - 2, -1, -1):
         np.minimum(squared[:, i], squared[:, i + 1] + 2.0 * brake * step, out=squared[:, i])
