@@ -112,16 +112,12 @@ def decode_body(topic: Topic, header: Header, payload: bytes) -> Message:
     fields = _risk_fields(header, payload) if topic.message is Risk else _unpack(payload, "malformed")
     try:
         message = cast(Message, msgspec.convert(fields, topic.message, dec_hook=_read_array))
-    except msgspec.ValidationError as e:
-        inner = e.__cause__
+    except (msgspec.ValidationError, OverflowError) as e:
+        inner, text = e.__cause__, str(e)
         if isinstance(inner, _ArrayError):
-            raise RefusedError(inner.reason, str(e)) from None
-        text = str(e)
-        raise RefusedError(
-            "range" if any(sign in text for sign in ("<=", ">=", "` >", "` <")) else "type", text
-        ) from None
-    except OverflowError as e:
-        raise RefusedError("range", str(e)) from None
+            raise RefusedError(inner.reason, text) from None
+        beyond = any(sign in text for sign in ("<=", ">=", "` >", "` <"))
+        raise RefusedError("range" if beyond else "type", text) from None
     check(message)
     return message
 
@@ -306,6 +302,9 @@ def _extremes(value: np.ndarray[Any, Any]) -> tuple[Any, Any]:
 
 
 def _unpack(data: bytes, reason: str) -> Any:
+    # a byte says whether it is a map; msgpack would copy all that stands behind a number before it says so
+    if not (data[:1] in (b"\xde", b"\xdf") or b"\x80" <= data[:1] < b"\x90"):
+        raise RefusedError(reason, "expected a map" if data else "nothing")
     containers = items = 0
 
     def counted(value: Any) -> Any:
@@ -337,6 +336,4 @@ def _unpack(data: bytes, reason: str) -> Any:
         )
     except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException) as e:
         raise RefusedError(reason, str(e) or type(e).__name__) from None
-    if not isinstance(unpacked, dict):
-        raise RefusedError(reason, f"expected a map, got {type(unpacked).__name__}")
     return unpacked

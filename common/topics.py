@@ -100,7 +100,7 @@ EGO = _latest(
 OBJECTS = _latest(
     "objects", messages.Objects, (8.0, 12.0), 0.3, 512 * KIB, Priority.INTERACTIVE_HIGH, ("vehicle", "predictor viz")
 )
-MAP = _latched("map", messages.Map, 64 * MIB, "predictor riskfield planner viz")
+MAP = _latched("map", messages.Map, 32 * MIB, "predictor riskfield planner viz")
 ROUTE = _latched("route", messages.Route, 4 * MIB, "predictor riskfield planner viz")
 CLOSURES = _latched("closures", messages.Closures, 64 * KIB, "riskfield viz")
 PREDICTION = _latest(

@@ -256,11 +256,19 @@ def test_however_deep_a_value_is_nested_no_recursion_error_escapes(depth: int, p
 
 
 def test_extension_types_and_keys_that_are_no_names_are_refused() -> None:
-    assert said_of(b"\xd4\x05\x00").startswith("malformed: ")
-    assert said_of(b"\xc7\x00\x05") == "malformed: extension type 5"
+    assert said_of(b"\x81\xa1a\xd4\x05\x00").startswith("malformed: ")
+    assert said_of(b"\x81\xa1a\xc7\x00\x05") == "malformed: extension type 5"
     assert "int is not allowed for map key" in said_of(b"\x81\x01\x02")
-    assert said_of(b"\x91\x01") == "malformed: expected a map, got list"
-    assert said_of(b"") == "malformed: Unpack failed: incomplete input"
+    for data in (b"\x91\x01", b"\x01", b"\x7f", b"\xdd\x00\x00\x00\x00", b"\xc0", b"\xa1x", b"\xe0"):
+        assert said_of(data) == "malformed: expected a map"
+    assert said_of(b"") == "malformed: nothing"
+
+
+def test_maps_of_every_length_of_header_are_maps() -> None:
+    for data in (b"\x80", b"\x8f" + b"".join(b"\xa1" + bytes([97 + i]) + b"\x01" for i in range(15)),
+                 b"\xde\x00\x00", b"\xdf\x00\x00\x00\x00"):  # fmt: skip
+        assert codec.decode_body(topics.MAP, header(topics.MAP), data) == m.Map()
+    assert said_of(b"\x80" + bytes(1000)).startswith("malformed: ")
 
 
 def test_strings_and_maps_have_a_largest_length() -> None:
