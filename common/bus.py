@@ -358,10 +358,13 @@ def open_bus(
         wait_s: gives up after this long [s].
 
     Raises:
-        ConfigError: the Zenoh configuration cannot be used.
+        ConfigError: the Zenoh configuration or the vehicle's name cannot be used.
         NoRouterError: no router within `wait_s`, or `stop` was set.
     """
-    checked_vehicle(vehicle)
+    try:
+        checked_vehicle(vehicle)
+    except ValueError as e:
+        raise ConfigError(str(e)) from None
     session = _connect(settings, stop or threading.Event(), wait_s)
     bus = Bus(session, vehicle, source, clock, health or Health(source, clock))
     try:

@@ -131,7 +131,7 @@ def main(service: Service) -> int:
     except NoRouterError as e:
         log.info("stopped: %s", e)
         return 0
-    except (ConfigError, ValueError) as e:
+    except ConfigError as e:
         print(f"{service.name}: {e}", file=sys.stderr)
         return 2
 
@@ -171,7 +171,11 @@ def _loop(
     with _sender(service, health, output) as send:
         while not stop.is_set():
             bus.wait((due_ns - monotonic()) * 1e-9)
-            new |= {name for name, inbox in inboxes.items() if inbox.take() is not None}
+            for name, inbox in inboxes.items():
+                if inbox.take() is not None:
+                    if name in new:  # no step ever had the one before it
+                        health.count(f"{name}:overwritten")
+                    new.add(name)
             health.turned()
             now = monotonic()
             if now < due_ns and service.trigger.suffix not in new:

@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> int:
     except NoRouterError as e:
         log.info("stopped: %s", e)
         return 0
-    except (ConfigError, SinkError, OSError, ValueError) as e:
+    except (ConfigError, SinkError) as e:
         print(f"viz: {e}", file=sys.stderr)
         return 2
 

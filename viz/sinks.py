@@ -121,8 +121,11 @@ def recording(
 def _pieces(settings: VizSettings) -> Pieces:
     path = Path(settings.record)
     parent = path if settings.record.endswith("/") else path.parent
-    if not path.is_dir() and not parent.is_dir():
-        raise SinkError(f"viz.record: {parent}: no such folder; create it or record elsewhere")
+    try:
+        if not path.is_dir() and not parent.is_dir():
+            raise SinkError(f"viz.record: {parent}: no such folder; create it or record elsewhere")
+    except OSError as e:
+        raise SinkError(f"viz.record: {path}: {e.strerror}") from None
     limits = Limits(
         round((settings.rotate_mib or settings.budget_mib / 2.0) * MIB),
         settings.rotate_minutes * 60.0,

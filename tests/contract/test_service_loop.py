@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +17,9 @@ import pytest
 from common import heartbeat, topics
 from common.bus import Bus, BusSettings, Inbox, Publisher, free_port, open_bus, router
 from common.clock import monotonic
+from common.health import Health
 from common.messages import Status
+from common.service import Idle, Inputs, Service, _loop
 from tests import samples
 from tests.waiting import until
 
@@ -167,3 +170,56 @@ def test_a_bad_configuration_ends_it_with_code_2_and_names_the_key() -> None:
     process = start("tcp/127.0.0.1:1", FOREFIELD__SERVICE__STATUS_HERTZ="3")
     assert process.wait(20) == 2
     assert "status_hertz" in process.communicate()[1]
+
+
+def test_a_vehicle_name_that_cannot_stand_in_a_key_ends_it_with_code_2() -> None:
+    process = start("tcp/127.0.0.1:1", FOREFIELD__VEHICLE="a/b")
+    assert process.wait(20) == 2
+    assert "vehicle name 'a/b'" in process.communicate()[1]
+
+
+def test_a_mistake_of_our_own_is_no_bad_configuration_and_shows_where() -> None:
+    with router() as endpoint:
+        process = start(endpoint, FOREFIELD__PREDICTOR__ANY="1")
+        assert process.wait(20) == 1
+    said = process.communicate()[1]
+    assert "Traceback" in said and "a mistake of ours" in said
+
+
+def test_what_a_step_never_had_before_it_is_counted() -> None:
+    """Ego comes ten times as often as steps do: each is either before a step, or overwritten, and counted once."""
+    had: list[int] = []
+
+    def step(inputs: Inputs) -> Idle:
+        ego = inputs.latest(topics.EGO)
+        if topics.EGO.suffix in inputs.new and ego is not None:
+            had.append(ego.seq)
+        return Idle("as asked")
+
+    service = Service("toy", (topics.OBJECTS, topics.EGO), topics.PREDICTION, topics.OBJECTS, 0.1, lambda *_: step)
+    stop = threading.Event()
+    with router() as endpoint:
+        settings = BusSettings(connect=(endpoint,))
+        with open_bus(settings, "toy", "vehicle") as vehicle, open_bus(settings, "toy", "toy") as bus:
+            inboxes = {t.suffix: bus.inbox(t) for t in service.subscribes}
+            health: Health = bus.health
+            loop = threading.Thread(
+                target=_loop, args=(service, bus, health, inboxes, bus.publisher(topics.PREDICTION), step, stop)
+            )
+            loop.start()
+            try:
+                ego = vehicle.publisher(topics.EGO)
+                until(lambda: ego._raw.matching_status.matching, what="the subscriber")
+                for _ in range(100):
+                    ego.put(samples.ego(), capture_ns=monotonic())
+                    time.sleep(0.01)
+                monitor = inboxes["ego"]._monitor
+                until(lambda: monitor.view(monotonic()).received == 100, what="all of them")
+                until(lambda: had and had[-1] == 99, what="the step that has the last one")
+            finally:
+                stop.set()
+                bus.interrupt()
+                loop.join(10)
+            unused = sum(n for name, n in health.counters.items() if name.startswith("ego:"))
+            assert len(had) < 50, "there are fewer steps than messages"
+            assert len(had) + unused == 100
