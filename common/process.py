@@ -64,6 +64,26 @@ class Ending:
         leave.start()
 
 
+class Heart:
+    """Touches the file that `common.heartbeat` looks at; where it cannot, it says so once and goes on."""
+
+    def __init__(self, file: Path | None) -> None:
+        self._file = file
+        self._told = False
+
+    def beat(self) -> None:
+        """Touch the file, if there is one to touch."""
+        if self._file is None:
+            return
+        try:
+            self._file.touch()
+            self._told = False
+        except OSError as e:
+            if not self._told:
+                log.warning("heartbeat: %s", e)
+            self._told = True
+
+
 def _leave(deadline_s: float) -> None:
     log.error("still busy %.1f s after being asked to stop: leaving", deadline_s)
     os._exit(0)
@@ -94,18 +114,12 @@ def reporting(health: Health, status: Publisher, settings: ServiceSettings) -> I
 
 
 def _report(health: Health, status: Publisher, settings: ServiceSettings, stop: threading.Event) -> None:
-    heartbeat = Path(settings.heartbeat) if settings.heartbeat else None
-    last = told = False
+    heart = Heart(Path(settings.heartbeat) if settings.heartbeat else None)
+    last = False
     while not last:
         last = stop.is_set()
-        if heartbeat is not None and health.turning:
-            try:
-                heartbeat.touch()
-                told = False
-            except OSError as e:
-                if not told:
-                    log.warning("heartbeat: %s", e)
-                told = True
+        if health.turning:
+            heart.beat()
         try:
             status.put(health.status(), capture_ns=monotonic())
         except Exception:  # a report must not end the reports

@@ -20,7 +20,7 @@ from common import bus_config, config, logs
 from common.bus import BusSettings, router
 from common.bus_config import Secured, TlsSettings
 from common.config import ConfigError
-from common.process import ServiceSettings
+from common.process import Heart, ServiceSettings
 
 log = logging.getLogger("forefield")
 
@@ -62,9 +62,9 @@ def main(arguments: list[str] | None = None) -> int:
             signal.signal(number, lambda *_: stop.set())
         with router(listen=listen, settings=settings, secured=secured, upstream=options.upstream) as endpoint:
             log.info("listens on %s", endpoint)
+            heart = Heart(options.heartbeat)
             while not stop.wait(1.0):
-                if options.heartbeat:
-                    options.heartbeat.touch()
+                heart.beat()
     except ConfigError as e:
         print(e, file=sys.stderr)
         return 2

@@ -98,10 +98,12 @@ def run(
         for warning in world.warnings:
             say(f"[yellow]warning[/] {escape(warning)}")
         options = session.Options(duration, attach, loop, logs)
-        reports: list[session.Report] = []
+        last: session.Report = {}
+        failed = False
 
         def done(result: session.Report) -> None:
-            reports.append(result)
+            nonlocal last, failed
+            last, failed = result, failed or result["outcome"] == "failed"
             if json_ is not None:
                 write(json_, result)
 
@@ -109,9 +111,9 @@ def run(
             with progress(console, world.name) as show:
                 session.play(world, tree, options, show, done)
         finally:
-            if reports:
-                _conclude(console, reports[-1])
-        if any(r["outcome"] == "failed" for r in reports):
+            if last:
+                _conclude(console, last)
+        if failed:
             raise typer.Exit(1)
 
 

@@ -223,3 +223,20 @@ def test_what_a_step_never_had_before_it_is_counted() -> None:
             unused = sum(n for name, n in health.counters.items() if name.startswith("ego:"))
             assert len(had) < 50, "there are fewer steps than messages"
             assert len(had) + unused == 100
+
+
+def test_a_router_whose_heartbeat_cannot_be_written_goes_on_and_says_so(tmp_path: Path) -> None:
+    port = free_port()
+    command = [sys.executable, "-m", "common.router", "--listen", f"tcp/127.0.0.1:{port}"]
+    with subprocess.Popen(
+        [*command, "--heartbeat", str(tmp_path / "no" / "folder")], cwd=ROOT, text=True, stderr=subprocess.PIPE
+    ) as process:
+        try:
+            assert process.stderr is not None
+            until(lambda: "heartbeat" in process.stderr.readline(), within_s=20, what="the warning")
+            with open_bus(BusSettings(connect=(f"tcp/127.0.0.1:{port}",)), "toy", "any", wait_s=10):
+                pass
+            process.terminate()
+            assert process.wait(10) == 0
+        finally:
+            process.kill()
