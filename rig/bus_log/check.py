@@ -8,10 +8,11 @@ it is compared from where that state no longer matters (`SETTLES`).
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from common import codec, topics
@@ -96,12 +97,16 @@ class _Memory:
     recorded: dict[Key, Recorded] = field(default_factory=dict)
     order: dict[str, deque[Key]] = field(default_factory=dict)
     decoded: dict[Key, Stamped[Any]] = field(default_factory=dict)
+    standing: dict[tuple[str, bytes], tuple[bytes, list[Message]]] = field(default_factory=dict)
+    """Latched bodies, by topic and digest, each once however often it was sent; and what they say, once it was read."""
 
     def add(self, message: Recorded, header: Header) -> None:
         key = (message.topic.suffix, header.boot, header.seq)
-        self.recorded[key] = message
         if message.topic.delivery is Delivery.LATCHED:
+            body, _ = self.standing.setdefault(_digest(message), (message.payload, []))
+            self.recorded[key] = replace(message, payload=body)
             return
+        self.recorded[key] = message
         order = self.order.setdefault(message.topic.suffix, deque())
         order.append(key)
         # the last ones stay however old they are: a step may hold on to what fell silent
@@ -120,15 +125,28 @@ class _Memory:
         if key not in self.decoded:
             recorded = self.recorded[key]
             header = recorded.header()
-            value = codec.decode_body(recorded.topic, header, recorded.payload)
-            self.decoded[key] = Stamped(value, 0, 0, header.cause, header.source, header.boot, header.seq)
+            self.decoded[key] = Stamped(
+                self._read(recorded, header), 0, 0, header.cause, header.source, header.boot, header.seq
+            )
         message: Message = self.decoded[key].value
         return message
+
+    def _read(self, recorded: Recorded, header: Header) -> Message:
+        if recorded.topic.delivery is not Delivery.LATCHED:
+            return codec.decode_body(recorded.topic, header, recorded.payload)
+        _, known = self.standing[_digest(recorded)]
+        if not known:
+            known.append(codec.decode_body(recorded.topic, header, recorded.payload))
+        return known[0]
 
     def stamped(self, key: Key, capture_ns: int, now_ns: int) -> Stamped[Any]:
         self.value(key)
         known = self.decoded[key]
         return Stamped(known.value, capture_ns, now_ns, known.cause, known.source, known.boot, known.seq, known.work_ns)
+
+
+def _digest(message: Recorded) -> tuple[str, bytes]:
+    return message.topic.suffix, hashlib.blake2b(message.payload, digest_size=32).digest()
 
 
 def check(

@@ -126,6 +126,20 @@ def test_the_map_reaches_whoever_comes_late(endpoint: str, late: str) -> None:
         until(lambda: inbox.take() or len(inbox.latest.value.lanes) == 2, what="the newest map")
 
 
+def test_a_map_that_is_sent_again_stays_the_object_that_it_was(pair: tuple[Bus, Bus]) -> None:
+    sender, receiver = pair
+    inbox, publisher = receiver.inbox(topics.MAP), sender.publisher(topics.MAP)
+    other = m.Map(lanes=[samples.lane(7)])
+    taken = []
+    for n, world in enumerate([samples.world(), samples.world(), other, samples.world()], start=1):
+        publisher.put(world, capture_ns=monotonic())
+        received(inbox, n)
+        stamped = inbox.take()
+        assert stamped is not None and stamped.seq == n - 1 and equal(stamped.value, world)
+        taken.append(stamped.value)
+    assert taken[1] is taken[0] and taken[2] is not taken[0]
+
+
 def raw_put(endpoint: str, topic: topics.Topic, payload: bytes, attachment: bytes | None) -> None:
     config = zenoh.Config.from_json5(
         json.dumps(

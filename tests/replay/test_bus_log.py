@@ -22,16 +22,17 @@ from typer.testing import CliRunner
 from common import codec, topics
 from common.bus import Bus, BusSettings, Raw, open_bus, router
 from common.clock import monotonic
-from common.messages import Cause, Closures
+from common.messages import Cause, Closures, Map
 from rig.application import app
 from rig.bus_log import recorder as recorder_module
-from rig.bus_log.check import check
+from rig.bus_log.check import _Memory, check
 from rig.bus_log.envelope import MESSAGE_ENCODING, METADATA, Recorded, pack, schema_name, topics_named, unpack
 from rig.bus_log.mend import mend
 from rig.bus_log.player import Player
 from rig.bus_log.reader import BusLog, BusLogError
 from rig.bus_log.recorder import Recorder
 from tests import samples
+from tests.contract.test_codec import equal, header
 from tests.processes import group
 from tests.waiting import until
 
@@ -430,3 +431,22 @@ def test_a_step_that_raises_is_a_difference_told_by_name(monkeypatch):
     assert (seq, found.field, found.recorded) == (0, "prediction", "a message")
     assert found.repeated == "ZeroDivisionError: no road\nat all"
     assert result.different == result.compared > 1
+
+
+def test_a_map_that_was_sent_again_and_again_is_kept_once():
+    """As its receiver had it: the same object until another one comes."""
+    memory, first = _Memory(), samples.world()
+    body, _ = codec.encode_body(topics.MAP, first)
+    other, _ = codec.encode_body(topics.MAP, replace_lanes(first))
+    for seq, payload in enumerate([body, bytes(bytearray(body)), other]):
+        head = header(topics.MAP, seq=seq)
+        message = Recorded(topics.MAP, seq, codec.encode_header(topics.MAP, head), payload, topics.MAP.encoding)
+        memory.add(message, head)
+    boot = head.boot
+    same, again, new = (memory.value(("map", boot, seq)) for seq in range(3))
+    assert again is same and new is not same and equal(same, first)
+    assert memory.recorded[("map", boot, 1)].payload is memory.recorded[("map", boot, 0)].payload
+
+
+def replace_lanes(world: Map) -> Map:
+    return Map(lanes=world.lanes[:1], obstacles=world.obstacles)
