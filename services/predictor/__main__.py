@@ -45,7 +45,7 @@ def build(tree: config.Tree, health: Health) -> Step:
 
 SERVICE = Service(
     name="predictor",
-    subscribes=(topics.OBJECTS, topics.EGO, topics.MAP, topics.ROUTE),
+    subscribes=(topics.OBJECTS, topics.EGO, topics.MAP),  # `route` may be heard, and is of no use here
     publishes=topics.PREDICTION,
     trigger=topics.OBJECTS,
     period_s=0.2,

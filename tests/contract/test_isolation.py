@@ -21,8 +21,8 @@ def test_the_planner_subscribes_to_ego_map_route_and_risk_and_nothing_else() -> 
     assert {t.suffix for t in PLANNER.subscribes} == {"ego", "map", "route", "risk"}
 
 
-def test_services_subscribe_to_what_the_design_says() -> None:
-    assert {t.suffix for t in PREDICTOR.subscribes} == {"ego", "objects", "map", "route"}
+def test_services_subscribe_to_what_they_read_and_nothing_else() -> None:
+    assert {t.suffix for t in PREDICTOR.subscribes} == {"ego", "objects", "map"}
     assert {t.suffix for t in RISKFIELD.subscribes} == {"ego", "map", "closures", "prediction"}
     assert [s.publishes.suffix for s in SERVICES.values()] == ["prediction", "risk", "plan"]
 
