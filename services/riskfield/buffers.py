@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import OrderedDict
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,35 +70,46 @@ MOST_KEPT = 4
 """Messages hold two or three at a time; whoever holds more owns them."""
 
 
+SHAPES = 2
+"""Shapes whose arrays are kept: at a speed where the grid grows, it goes back and forth between two."""
+
+
+class _Ring(NamedTuple):
+    kept: list[_Kept]
+    resident: Any
+    """Where the device writes; None on the CPU, which writes into the host's own."""
+
+
 class HostRing:
     """Arrays for what leaves in messages: one is handed out again only when nobody holds it or a view of it."""
 
     def __init__(self, device: str) -> None:
         self._on_cpu, self._device = device == "cpu", device
-        self._shape: tuple[tuple[int, ...], type] | None = None
-        self._kept: list[_Kept] = []
-        self._resident: Any = None
+        self._rings: OrderedDict[tuple[tuple[int, ...], type], _Ring] = OrderedDict()
         self.made = 0
         """How many were allocated."""
 
     @property
     def where(self) -> int:
-        """Changes when the device's memory moved; on the CPU the host's own is written."""
-        return 0 if self._resident is None else int(self._resident.ptr or 0)
+        """Of the shape taken last; changes when the device's memory moved; on the CPU the host's own is written."""
+        ring = next(reversed(self._rings.values()), None)
+        return 0 if ring is None or ring.resident is None else int(ring.resident.ptr or 0)
 
     def take(self, shape: tuple[int, ...], dtype: type) -> tuple[npt.NDArray[Any], Any, Any]:
         """An array of the host, its memory as Warp's array, and where the device writes it (on the CPU the same)."""
         size = math.prod(shape)
-        if self._shape != (shape, dtype):
-            self._shape = (shape, dtype)
-            self._kept.clear()
-            if not self._on_cpu:
-                self._resident = wp.zeros(size, dtype=TYPES[dtype], device=self._device)
-        kept = next((k for k in self._kept if sys.getrefcount(k.root) <= _IDLE), None)
+        ring = self._rings.pop((shape, dtype), None)
+        if ring is None:
+            while len(self._rings) >= SHAPES:
+                self._rings.popitem(last=False)
+            resident = None if self._on_cpu else wp.zeros(size, dtype=TYPES[dtype], device=self._device)
+            ring = _Ring([], resident)
+        self._rings[shape, dtype] = ring
+        kept = next((k for k in ring.kept if sys.getrefcount(k.root) <= _IDLE), None)
         if kept is None:
             self.made += 1
             flat: Any = wp.zeros(size, dtype=TYPES[dtype], device="cpu", pinned=not self._on_cpu)
             kept = _Kept(flat.numpy(), flat)
-            if len(self._kept) < MOST_KEPT:
-                self._kept.append(kept)
-        return kept.root.reshape(shape), kept.flat, kept.flat if self._on_cpu else self._resident
+            if len(ring.kept) < MOST_KEPT:
+                ring.kept.append(kept)
+        return kept.root.reshape(shape), kept.flat, kept.flat if self._on_cpu else ring.resident

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -22,6 +23,7 @@ from services.riskfield.settings import RiskfieldSettings
 wp.config.log_level = wp.LOG_ERROR
 
 UPLOADED = ("counts", "pose", "objects", "vertices", "arcs", "vertex_counts", "origins", "lines")
+MOST_GRAPHS = 4
 SCRATCH = ("segments", "crossings", "far", "static_sum", "static_best", "static_line", "unused16", "unused32")
 
 
@@ -60,7 +62,7 @@ class FieldDevice:
         self._in = {name: DeviceArray(device) for name in UPLOADED}
         self._work = {name: DeviceArray(device, staged=False) for name in SCRATCH}
         self._volumes, self._dominants = HostRing(device), HostRing(device)
-        self._graphs: dict[tuple[Any, ...], Any] = {}
+        self._graphs: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
 
     @property
     def fresh_volumes(self) -> int:
@@ -171,18 +173,24 @@ class FieldDevice:
             done.result()
 
     def _replay(self, v: Any, prepare: int, tasks: int) -> None:
-        """Upload and launch as one captured graph; captured anew where a buffer moved or the grid changed."""
+        """Upload and launch as one captured graph; captured anew where a buffer moved or the grid changed.
+
+        The last few are kept: grid and room for objects go back and forth between two sizes.
+        """
         given = tuple(self._in.values())
         memory: tuple[Any, ...] = (*given, *self._work.values(), self._volumes, self._dominants)
         shape = (v.slices, v.rows, v.columns, v.h, v.two_level, v.objects_most, v.segments_most)
         key = (prepare, tasks, *shape, *(a.where for a in memory))
-        if key not in self._graphs:
-            self._graphs.clear()
+        graph = self._graphs.pop(key, None)
+        if graph is None:
+            while len(self._graphs) >= MOST_GRAPHS:
+                self._graphs.popitem(last=False)
             wp.load_module(kernels, device=self._device)
             with wp.ScopedCapture(device=self._device) as captured:
                 for a in given:
                     a.upload()
                 wp.launch(kernels.prepare_kernel, dim=prepare, inputs=[v, 0, 1], device=self._device)
                 wp.launch(kernels.field_kernel, dim=tasks, inputs=[v, 0, 1], device=self._device)
-            self._graphs[key] = captured.graph
-        wp.capture_launch(self._graphs[key])
+            graph = captured.graph
+        self._graphs[key] = graph
+        wp.capture_launch(graph)

@@ -71,6 +71,25 @@ def test_cells_lie_where_the_message_says():
     assert np.arctan2(y[0, 1] - y[0, 0], x[0, 1] - x[0, 0]) == pytest.approx(1.0 + np.pi / 2)
 
 
+def test_at_a_speed_where_the_grid_grows_nothing_is_allocated_again_and_again():
+    core = RiskField(RiskfieldSettings(width=24, h=0.5, slices=2), RISK, "cpu")
+    rows, made = set(), []
+    for k in range(12):
+        r = step(core, [dict(x=20.0)], ego(speed=17.0 if k % 2 else 17.2))
+        rows.add(r.grid.rows)
+        del r
+        made.append(core._field.fresh_volumes)
+    assert len(rows) == 2
+    assert made[-1] == made[3] <= 4
+
+
+def test_only_the_grids_of_the_last_two_sizes_keep_their_memory():
+    core = RiskField(RiskfieldSettings(width=24, h=0.5, slices=2), RISK, "cpu")
+    for speed in (10.0, 18.0, 22.0, 26.0, 30.0):
+        step(core, [dict(x=20.0)], ego(speed=speed))
+    assert len(core._field._volumes._rings) == 2
+
+
 # objects
 
 
