@@ -22,7 +22,7 @@ def group(
     """Run a command in a process group of its own; on the way out all of the group is killed."""
     process = subprocess.Popen(
         command, cwd=cwd, text=True, stdout=stdout, stderr=subprocess.DEVNULL, start_new_session=True,
-        preexec_fn=_end_with_the_test,
+        preexec_fn=end_with_the_test,
     )  # fmt: skip
     try:
         yield process
@@ -43,5 +43,6 @@ def remains(process: subprocess.Popen[str]) -> bool:
     return True
 
 
-def _end_with_the_test() -> None:
+def end_with_the_test() -> None:
+    """For `preexec_fn`: the kernel kills this process when the one that started it ends, however it ends."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)  # stays through an exec

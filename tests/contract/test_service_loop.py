@@ -21,6 +21,7 @@ from common.health import Health
 from common.messages import Status
 from common.service import Idle, Inputs, Service, _loop
 from tests import samples
+from tests.processes import end_with_the_test
 from tests.waiting import until
 
 ROOT = Path(__file__).parents[2]
@@ -52,6 +53,7 @@ def start(endpoint: str, **environment: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "tests.contract.toy_service"], cwd=ROOT, text=True, stderr=subprocess.PIPE,
         env={**os.environ, "FOREFIELD__VEHICLE": "toy", "FOREFIELD__BUS__CONNECT": f'["{endpoint}"]', **environment},
+        preexec_fn=end_with_the_test,
     )  # fmt: skip
 
 
@@ -229,8 +231,9 @@ def test_a_router_whose_heartbeat_cannot_be_written_goes_on_and_says_so(tmp_path
     port = free_port()
     command = [sys.executable, "-m", "common.router", "--listen", f"tcp/127.0.0.1:{port}"]
     with subprocess.Popen(
-        [*command, "--heartbeat", str(tmp_path / "no" / "folder")], cwd=ROOT, text=True, stderr=subprocess.PIPE
-    ) as process:
+        [*command, "--heartbeat", str(tmp_path / "no" / "folder")], cwd=ROOT, text=True, stderr=subprocess.PIPE,
+        preexec_fn=end_with_the_test,
+    ) as process:  # fmt: skip
         try:
             assert process.stderr is not None
             until(lambda: "heartbeat" in process.stderr.readline(), within_s=20, what="the warning")

@@ -26,6 +26,7 @@ from common.bus import Bus, BusSettings, Publisher, free_port, open_bus
 from common.clock import monotonic
 from common.messages import Header
 from tests import samples
+from tests.processes import end_with_the_test
 
 RATES_HZ = {"ego": 50, "objects": 10, "plan": 20}
 TICK_S = 0.01
@@ -56,7 +57,10 @@ class Line:
 def measure(vehicles: int, seconds: float) -> dict[str, Any]:
     """Run it; figures of all vehicles together."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    router = subprocess.Popen([sys.executable, "-m", "common.router", "--listen", endpoint], stderr=subprocess.DEVNULL)
+    router = subprocess.Popen(
+        [sys.executable, "-m", "common.router", "--listen", endpoint], stderr=subprocess.DEVNULL,
+        preexec_fn=end_with_the_test,
+    )  # fmt: skip
     try:
         with ExitStack() as stack:
             lines: list[Line] = []

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.processes import end_with_the_test
 from tests.waiting import until
 
 ROOT = Path(__file__).parents[2]
@@ -45,6 +46,7 @@ class Hosts:
         process = subprocess.Popen(
             ["ip", "netns", "exec", self.names[address], sys.executable, "-m", *command],
             cwd=ROOT, env={**os.environ, **environment}, text=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            preexec_fn=end_with_the_test,
         )  # fmt: skip
         self.processes.append(process)
         return process

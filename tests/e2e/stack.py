@@ -16,6 +16,7 @@ from common.bus import Bus, BusSettings, open_bus, router
 from common.clock import monotonic
 from common.messages import Plan, Risk, Stamped, Status
 from tests import samples
+from tests.processes import end_with_the_test
 
 ROOT = Path(__file__).parents[2]
 SERVICES = ("predictor", "riskfield", "planner")
@@ -94,8 +95,9 @@ class Stack:
 
     def start(self, service: str) -> None:
         self.processes[service] = subprocess.Popen(
-            [sys.executable, "-m", f"services.{service}"], cwd=ROOT, env=self._environment, stderr=subprocess.DEVNULL
-        )
+            [sys.executable, "-m", f"services.{service}"], cwd=ROOT, env=self._environment, stderr=subprocess.DEVNULL,
+            preexec_fn=end_with_the_test,
+        )  # fmt: skip
 
     def kill(self, service: str) -> None:
         process = self.processes.pop(service)

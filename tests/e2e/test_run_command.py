@@ -16,6 +16,7 @@ import pytest
 
 import common
 from common.bus import free_port
+from tests.processes import end_with_the_test
 from tests.waiting import until
 
 ROOT = Path(common.__file__).parent.parent
@@ -31,6 +32,7 @@ def started(*arguments: str | Path, cwd: Path) -> Iterator[subprocess.Popen[str]
     process = subprocess.Popen(
         [sys.executable, "-m", "rig.command", *map(str, arguments)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd, env=ENVIRONMENT,
+        preexec_fn=end_with_the_test,
     )  # fmt: skip
     try:
         yield process

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -21,6 +22,7 @@ from common.bus import Bus, BusSettings, free_port, open_bus, router
 from common.clock import monotonic
 from common.health import Health
 from common.messages import Cause, Status
+from tests.processes import end_with_the_test
 from tests.viz import synthetic
 from tests.viz.reading import rows
 from tests.waiting import until
@@ -35,8 +37,9 @@ def start(endpoint: str, *arguments: str) -> subprocess.Popen[str]:
     environment = {**os.environ, "FOREFIELD__BUS__CONNECT": f'["{endpoint}"]', "FOREFIELD__SERVICE__STATUS_HZ": "20",
                    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # fmt: skip
     return subprocess.Popen(
-        [sys.executable, "-m", "viz", *arguments], cwd=ROOT, text=True, stderr=subprocess.PIPE, env=environment
-    )
+        [sys.executable, "-m", "viz", *arguments], cwd=ROOT, text=True, stderr=subprocess.PIPE, env=environment,
+        preexec_fn=end_with_the_test,
+    )  # fmt: skip
 
 
 def end(viz: subprocess.Popen[str]) -> tuple[int, str]:
@@ -216,3 +219,27 @@ def test_what_the_bus_refuses_reaches_no_drawing(endpoint, vehicle):
             bus.interrupt()
             drawing.join(timeout=5)
     assert "risk" not in scene.drawn
+
+
+def test_it_does_not_outlive_a_test_that_was_killed(endpoint: str) -> None:
+    script = (
+        "from tests.viz.test_viz_process import start\n"
+        f"viz = start({endpoint!r})\n"
+        "print(viz.pid, flush=True)\n"
+        "viz.communicate()\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, text=True, stdout=subprocess.PIPE) as test:
+        assert test.stdout is not None
+        number = int(test.stdout.readline())
+        test.kill()
+    try:
+        until(lambda: state(number) == "Z", within_s=10, what="its end")
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(number, signal.SIGKILL)
+
+
+def state(number: int) -> str:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    return "Z"
