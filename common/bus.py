@@ -105,6 +105,11 @@ class Inbox:
             self._health.count(f"{self.topic.suffix}:{e.reason}")
             log.debug("%s refused: %s", self.topic.suffix, e)
             return None
+        except Exception:  # a check of ours that fails must cost this one message, not the service
+            self._monitor.refused()
+            self._health.count(f"{self.topic.suffix}:unreadable")
+            log.exception("%s cannot be read", self.topic.suffix)
+            return None
         except Exception as e:  # a mistake of ours: whatever arrives, it must not end the process
             self._monitor.refused()
             self._health.count(f"{self.topic.suffix}:failed_{type(e).__name__}")
