@@ -105,11 +105,6 @@ class Inbox:
             self._health.count(f"{self.topic.suffix}:{e.reason}")
             log.debug("%s refused: %s", self.topic.suffix, e)
             return None
-        except Exception:  # a check of ours that fails must cost this one message, not the service
-            self._monitor.refused()
-            self._health.count(f"{self.topic.suffix}:unreadable")
-            log.exception("%s cannot be read", self.topic.suffix)
-            return None
         except Exception as e:  # a mistake of ours: whatever arrives, it must not end the process
             self._monitor.refused()
             self._health.count(f"{self.topic.suffix}:failed_{type(e).__name__}")
@@ -265,7 +260,10 @@ class Bus:
         return inbox
 
     def watch(self, topic: Topic, seen: Callable[[Header, int], None]) -> None:
-        """Tell `seen`, in a Zenoh thread, header and arrival [ns] of every message of a topic; bodies stay unread."""
+        """Tell `seen`, in a Zenoh thread, header and arrival [ns] of every message of a topic; bodies stay unread.
+
+        What stands on a latched topic is told too.
+        """
 
         def arrive(sample: zenoh.Sample) -> None:
             now = self._clock()
@@ -273,7 +271,7 @@ class Bus:
             with suppress(RefusedError):  # what an inbox refuses is counted there
                 seen(codec.decode_header(topic, None if attachment is None else attachment.to_bytes()), now)
 
-        self._held.append(self._session.declare_subscriber(key(self.vehicle, topic), arrive))
+        self._subscribe(topic, arrive)
 
     def tap(self, topic: Topic, heard: Callable[[Raw], None]) -> None:
         """Tell `heard`, in a Zenoh thread, every message of a topic as it came: unread, unchecked, none left out."""

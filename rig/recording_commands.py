@@ -23,6 +23,7 @@ from common.config import ConfigError, Tree
 from common.topics import MIB, TOPICS, Topic
 from rig import configuration, viewing
 from rig.exits import exits, say, writable
+from rig.launcher import LaunchError
 
 if TYPE_CHECKING:
     from rig.bus_log.reader import BusLog
@@ -147,7 +148,8 @@ def replay(
 ) -> None:
     """Put a recorded bus back on a bus, or check that the services do again what they did.
 
-    Topics whose writer runs on that bus (a running planner's plan and status, and so on) are refused without --force.
+    Topics whose writer runs on that bus (a running planner's plan and status, and so on) are refused without --force,
+    and the replay stops when somebody begins to write one of them.
     To who hears them the replay is that service started anew, and the service an old one until it is started again.
     """
     with exits(asked=True):
@@ -189,7 +191,7 @@ def _mend_bus(file: Path, target: Path) -> None:
 def _play(
     log: BusLog, tree: Tree, topics: tuple[Topic, ...], rate: float, start: float, end: float | None, force: bool
 ) -> bool:
-    from rig.bus_log.player import Player
+    from rig.bus_log.player import LISTEN_S, Player, TakenError
 
     first, last = log.span_ns()
     length = (last - first) * 1e-9
@@ -197,30 +199,35 @@ def _play(
     if start >= stop:
         raise ConfigError(f"--from {start:g}: the recording is {length:.1f} s long, and nothing lies before {stop:g} s")
     with open_bus(config.section(tree, "bus", BusSettings), config.vehicle(tree), "replay", wait_s=10.0) as bus:
+        player = Player(log, bus, topics, yields=not force)
         if not force:
-            _leave_to_the_living(log, topics, bus.alive())
-        player = Player(log, bus, topics)
+            time.sleep(LISTEN_S)
+            _leave_to_the_living(log, topics, bus.alive(), player.others)
         with Progress(console=Console(stderr=True)) as bar:
             task = bar.add_task(f"replaying {stop - start:.1f} s", total=stop - start)
-            player.play(
-                first + round(start * 1e9), first + round(stop * 1e9), rate, lambda s: bar.update(task, completed=s)
-            )
+            try:
+                player.play(
+                    first + round(start * 1e9), first + round(stop * 1e9), rate, lambda s: bar.update(task, completed=s)
+                )
+            except TakenError as e:
+                raise LaunchError(f"{e}; --force goes on regardless") from None
         say(", ".join(f"{name} {n}" for name, n in player.sent.items()) or "nothing of these topics is recorded there")
         log.refused.update(player.refused)
         return bool(player.sent)
 
 
-def _leave_to_the_living(log: BusLog, topics: tuple[Topic, ...], alive: set[str]) -> None:
+def _leave_to_the_living(log: BusLog, topics: tuple[Topic, ...], alive: set[str], heard: dict[Topic, str]) -> None:
     from rig.bus_log.player import taken
 
     held = log.holds()
     asked = [topic for topic in topics if topic.suffix in held]
-    theirs = taken(asked, alive)
+    theirs = [topic for topic in asked if topic in heard or topic in taken(asked, alive)]
     if theirs:
         rest = ",".join(topic.suffix for topic in asked if topic not in theirs)
+        who = ", ".join(sorted({heard.get(t, t.writer) for t in theirs}))
         raise ConfigError(
             f"{', '.join(t.suffix for t in theirs)}: written by what runs on this bus "
-            f"({', '.join(sorted({t.writer for t in theirs}))}), which a replay would shut out until it starts again; "
+            f"({who}), which a replay would shut out until it starts again; "
             + (f"replay the rest (--only {rest}), " if rest else "")
             + "stop it, or say --force"
         )

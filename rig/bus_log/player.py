@@ -18,10 +18,13 @@ import msgpack
 from common.bus import Bus, Publisher
 from common.clock import monotonic
 from common.codec import RefusedError
+from common.messages import Header
 from common.topics import Topic
 from rig.bus_log.envelope import Recorded
 from rig.bus_log.reader import BusLog
 
+LISTEN_S = 1.0
+"""How long to listen for other writers before the first message [s]; what moves comes far more often."""
 LATCHED_S = 0.2
 """What stands is put so long before what moves [s]."""
 
@@ -39,16 +42,32 @@ def taken(topics: Iterable[Topic], alive: Collection[str]) -> list[Topic]:
     return [topic for topic in topics if topic.writer in alive]
 
 
-class Player:
-    """Replays one recording."""
+class TakenError(RuntimeError):
+    """Somebody else began to write what is replayed; the text says who and what."""
 
-    def __init__(self, log: BusLog, bus: Bus, topics: Collection[Topic]) -> None:
+
+class Player:
+    """Replays one recording; `yields`: it stops when somebody else writes one of its topics."""
+
+    def __init__(self, log: BusLog, bus: Bus, topics: Collection[Topic], *, yields: bool = False) -> None:
         self.sent: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         """`topic:reason` → messages whose header cannot be read: they are not sent."""
         self._log, self._bus, self._topics = log, bus, topics
         self._publishers: dict[str, Publisher] = {t.suffix: bus.publisher(t) for t in topics}
         self._boots: defaultdict[str, str] = defaultdict(lambda: secrets.token_hex(8))
+        self._mine: set[str] = set()
+        self.others: dict[Topic, str] = {}
+        """Topics that somebody else was heard to write, and his name; they need not show a token for that."""
+        for topic in topics if yields else ():
+            bus.watch(topic, self._ear(topic))
+
+    def _ear(self, topic: Topic) -> Callable[[Header, int], None]:
+        def hear(header: Header, _: int) -> None:
+            if header.boot not in self._mine:
+                self.others[topic] = header.source
+
+        return hear
 
     def play(self, start_ns: int, end_ns: int, rate: float, show: Callable[[float], None] = lambda _: None) -> None:
         """Send everything between two log times.
@@ -58,6 +77,9 @@ class Player:
             end_ns: log time at which to end [ns].
             rate: 2 is twice as fast.
             show: called with the seconds of the recording that were played.
+
+        Raises:
+            TakenError: somebody else writes one of the topics.
         """
         for message in self._log.latched_before(start_ns, self._topics):
             self._send(message)
@@ -74,6 +96,9 @@ class Player:
 
     def _send(self, message: Recorded) -> None:
         suffix = message.topic.suffix
+        if self.others:
+            who = ", ".join(f"{topic.suffix} ({source})" for topic, source in self.others.items())
+            raise TakenError(f"{who} is written by somebody else now, whom a replay could shut out: it was stopped")
         try:
             message.header()  # of a version that receivers understand
         except RefusedError as e:
@@ -88,6 +113,7 @@ class Player:
         header: dict[str, Any] = msgpack.unpackb(attachment)
         now = monotonic()
         header["boot"] = self._boots[header["boot"]]
+        self._mine.add(header["boot"])
         header["sent_ns"] = now
         header["capture_ns"] = now - header["age_ns"]
         if header.get("cause"):

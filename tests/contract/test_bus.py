@@ -210,26 +210,6 @@ def test_a_latched_message_of_any_age_leaves_no_age_that_headers_cannot_tell(
         assert codec.decode_header(topics.PLAN, codec.encode_header(topics.PLAN, told)).step == used
 
 
-def test_a_mistake_of_our_own_in_reading_costs_one_message_and_is_counted(
-    pair: tuple[Bus, Bus], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sender, receiver = pair
-    inbox, publisher = receiver.inbox(topics.EGO), sender.publisher(topics.EGO)
-    matched(publisher)
-
-    def mistaken(*_: object) -> m.Message:
-        raise ZeroDivisionError
-
-    for n, good in enumerate([False, True], start=1):
-        with monkeypatch.context() as patched:
-            publisher.put(samples.ego(), capture_ns=monotonic())
-            received(inbox, n)
-            if not good:
-                patched.setattr(codec, "decode_body", mistaken)
-            assert (inbox.take() is not None) == good
-    assert receiver.counters == {"ego:unreadable": 1}
-
-
 def test_a_repeated_message_is_used_once(pair: tuple[Bus, Bus], endpoint: str) -> None:
     _, receiver = pair
     inbox = receiver.inbox(topics.EGO)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ from rig.bus_log import recorder as recorder_module
 from rig.bus_log.check import _Memory, check
 from rig.bus_log.envelope import MESSAGE_ENCODING, METADATA, Recorded, pack, schema_name, topics_named, unpack
 from rig.bus_log.mend import mend
-from rig.bus_log.player import Player
+from rig.bus_log.player import Player, TakenError
 from rig.bus_log.reader import BusLog, BusLogError
 from rig.bus_log.recorder import Recorder
 from tests import samples
@@ -258,6 +259,57 @@ def test_who_runs_on_the_bus_is_not_shut_out_by_a_replay_unless_that_is_forced(d
         forced = replayed(driven, endpoint, "living", "--force")
         assert forced.exit_code == 0, forced.stderr
         until(lambda: len(heard.of(topics.PLAN)) == 3, what="the plans")
+
+
+@pytest.mark.parametrize("topic", [topics.EGO, topics.MAP], ids=["moves", "stands"])
+def test_a_writer_without_a_token_is_heard_and_left_alone(endpoint, tmp_path, topic):
+    message = samples.ego() if topic is topics.EGO else samples.world()
+    vehicle = f"untold-{topic.suffix}"
+    with bus_of(endpoint, "my_car", vehicle) as car, bus_of(endpoint, "other", "elsewhere") as other:
+        taken_down: list[Raw] = []
+        other.tap(topic, taken_down.append)
+        other.publisher(topic).put(message, capture_ns=monotonic())
+        until(lambda: taken_down, what="what is to be replayed")
+        raw = taken_down[0]
+        rows = [(topic.suffix, schema_name(topic), pack(raw.attachment, raw.payload))]
+        path = write(tmp_path / "a.mcap", rows * 2)
+        publisher, stop = car.publisher(topic), threading.Event()
+        publisher.put(message, capture_ns=monotonic())
+
+        def drive() -> None:
+            while topic is topics.EGO and not stop.wait(0.05):
+                publisher.put(message, capture_ns=monotonic())
+
+        thread = threading.Thread(target=drive)
+        thread.start()
+        try:
+            refused = replayed(path, endpoint, vehicle)
+        finally:
+            stop.set()
+            thread.join()
+    assert refused.exit_code == 2 and f"{topic.suffix}: written by" in refused.stderr and "my_car" in refused.stderr
+
+
+def test_a_replay_stops_when_somebody_begins_to_write_what_it_replays(endpoint, tmp_path):
+    rows = []
+    log = BusLog.open(Path(__file__).with_name("reference_drive.mcap"))
+    for m in list(log.messages([topics.EGO]))[:50]:
+        rows.append((m.topic.suffix, schema_name(m.topic), pack(m.attachment, m.payload)))
+    path = write(tmp_path / "a.mcap", rows)
+    with bus_of(endpoint, "my_car", "later") as car, bus_of(endpoint, "replay", "later") as bus:
+        heard = Heard(car, (topics.EGO,))
+        publisher = car.publisher(topics.EGO)
+        player = Player(BusLog.open(path), bus, (topics.EGO,), yields=True)
+        first, last = BusLog.open(path).span_ns()
+
+        def show(_: float) -> None:
+            if player.sent["ego"] == 10:
+                publisher.put(samples.ego(), capture_ns=monotonic())
+                until(lambda: player.others, what="the newcomer")
+
+        with pytest.raises(TakenError, match=r"ego \(my_car\)"):
+            player.play(first, last, 1.0, show)
+        until(lambda: len(heard.raw) == 11, what="what was sent until then")
 
 
 def test_a_vehicle_that_the_rig_drives_is_left_alone_too(driven, endpoint):
