@@ -56,7 +56,9 @@ def eval_planning(
     planner: Annotated[
         list[str] | None,
         typer.Option(
-            "--planner", help="default, paper, current-only, idm, or a peer; may be repeated.", show_default="default"
+            "--planner",
+            help="default, paper, current-only, idm, commonroad-reactive, frenetix; may be repeated.",
+            show_default="default",
         ),
     ] = None,
     predictor: Annotated[

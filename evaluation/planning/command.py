@@ -17,7 +17,7 @@ from common import config
 from common.config import ConfigError, Tree
 from evaluation.planning import report, volume
 from evaluation.planning.choosing import choices, loaded, replaced_vehicles
-from evaluation.planning.drivers import known
+from evaluation.planning.drivers import check
 from evaluation.planning.engines import outcomes
 from evaluation.planning.tasks import Task
 from evaluation.planning.traffic import Kind
@@ -60,9 +60,8 @@ def run(
         ConfigError: what is asked for cannot be: unknown planners, a folder without scenarios, no cluster.
     """
     console = console or Console(stderr=True)
-    unknown = [p for p in planners if p not in known()]
-    if unknown:
-        raise ConfigError(f"--planner {unknown[0]!r}: there are {', '.join(known())}")
+    for planner in planners:
+        check(planner)
     asked = [o for o, there in (("--scenarios", sources), ("--variants", variants), ("--tracks", tracks)) if there]
     asked += ["--sumo"] if sumo_km else []
     if len(asked) > 1:

@@ -2,8 +2,9 @@
 
 Names: `default` and `paper` are the planner's own two searches; `current-only` is the default on a field that is held
 as it is at t = 0, the ablation of the paper's thesis; `idm` follows the route by Treiber's car-following model.
-Other people's planners join under their own names where they are installed: a package that registers a factory of an
-`Alone` as an entry point of the group `forefield.planners` can be named too. None of them is a dependency of ours.
+Other people's planners: `commonroad-reactive` and `frenetix` run on a Python of their own (`peers/`), and a package
+that registers a factory of an `Alone` as an entry point of the group `forefield.planners` joins under its own name.
+None of them is a dependency of ours.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ from services.riskfield.settings import RiskfieldSettings
 
 OURS = ("default", "paper", "current-only")
 ALONE = ("idm",)
+PEERS = ("commonroad-reactive", "frenetix")
+"""On their own Python."""
 GROUP = "forefield.planners"
 """Entry points by which other planners join."""
 
@@ -49,7 +52,11 @@ class Field(Protocol):
 
 
 class Alone(Protocol):
-    """A planner that needs no risk: it sees the road users themselves."""
+    """A planner that needs no risk: it sees the road users themselves.
+
+    One that waits for others may say in an attribute `took_ms` how long its last plan took itself (NaN: it did not plan
+    anew), and count in `failures` what went wrong in single cycles.
+    """
 
     def plan(
         self, ego: Stamped[Ego], objects: Stamped[Objects], map: Map | None, route: Route, closures: Closures
@@ -106,11 +113,25 @@ class HeldField:
 
 def known() -> tuple[str, ...]:
     """Every planner's name that can be used here."""
-    return (*OURS, *ALONE, *_peers())
+    return (*OURS, *ALONE, *PEERS, *_joined())
 
 
-def _peers() -> dict[str, metadata.EntryPoint]:
-    return {p.name: p for p in metadata.entry_points(group=GROUP) if p.name not in (*OURS, *ALONE)}
+def _joined() -> dict[str, metadata.EntryPoint]:
+    return {p.name: p for p in metadata.entry_points(group=GROUP) if p.name not in (*OURS, *ALONE, *PEERS)}
+
+
+def check(name: str) -> None:
+    """Whether a planner can be used here, before hours are spent.
+
+    Raises:
+        ConfigError: it cannot, and what to do.
+    """
+    from evaluation.planning.peers import driver
+
+    if name not in known():
+        raise ConfigError(f"--planner {name!r}: there are {', '.join(known())}")
+    if name in PEERS:
+        driver.check(name)
 
 
 def driver(name: str, tree: config.Tree) -> Cores | Alone:
@@ -120,6 +141,7 @@ def driver(name: str, tree: config.Tree) -> Cores | Alone:
         ConfigError: nobody of this name.
     """
     from evaluation.planning.idm_driver import IdmDriver
+    from evaluation.planning.peers.driver import peer
 
     if name in OURS:
         own = "paper" if name == "paper" else "default"
@@ -127,8 +149,10 @@ def driver(name: str, tree: config.Tree) -> Cores | Alone:
         return Cores.of(tree, hold_field=name == "current-only")
     if name == "idm":
         return IdmDriver()
-    peers = _peers()
-    if name in peers:
-        made: Alone = peers[name].load()()
+    if name in PEERS:
+        return peer(name, tree)
+    joined = _joined()
+    if name in joined:
+        made: Alone = joined[name].load()()
         return made
     raise ConfigError(f"--planner {name!r}: there are {', '.join(known())}")

@@ -26,7 +26,7 @@ HARDEST = 8.0
 DEFAULT_LIMIT = 13.9
 
 
-class _Way:
+class Way:
     """The route as this driver knows it: line, wanted speed at each station, lines across it."""
 
     def __init__(self, route: Route, road: Map | None, half_width: float) -> None:
@@ -82,7 +82,7 @@ class IdmDriver:
 
     def __init__(self, p: Following | None = None) -> None:
         self._p = p or Following()
-        self._way: _Way | None = None
+        self._way: Way | None = None
         self._of: Route | None = None
 
     def plan(
@@ -91,7 +91,7 @@ class IdmDriver:
         """The next 4 s behind whoever is ahead, and a firm brake after `valid_for`."""
         e = ego.value
         if self._way is None or self._of is not route:
-            self._way, self._of = _Way(route, map, e.width / 2), route
+            self._way, self._of = Way(route, map, e.width / 2), route
         way = self._way
         half = e.wheelbase / 2
         rear = np.array([e.x - half * math.cos(e.heading), e.y - half * math.sin(e.heading)])
@@ -127,7 +127,7 @@ class IdmDriver:
             desired_speed=way.wanted(s0),
         )  # fmt: skip
 
-    def _tail(self, way: _Way, s: float, v: float, start: tuple[float, float], e: Ego) -> Trajectory:
+    def _tail(self, way: Way, s: float, v: float, start: tuple[float, float], e: Ego) -> Trajectory:
         brake, dt = 3.0, 0.1
         t, way_s, speed = [VALID_S], [s], [v]
         while speed[-1] > 0.0 or len(t) < 3:
@@ -140,7 +140,7 @@ class IdmDriver:
 
     @staticmethod
     def _trajectory(
-        way: _Way, t: F64, s: list[float], v: list[float], a: list[float], start: tuple[float, float], e: Ego
+        way: Way, t: F64, s: list[float], v: list[float], a: list[float], start: tuple[float, float], e: Ego
     ) -> Trajectory:
         """Along the line; an offset at the start fades within some seconds of driving."""
         s0, d0 = start

@@ -256,6 +256,9 @@ class _Run:
         self.planned_ns = now
         done = self.busy["planner"] = now + self.delay["planner"]
         plan = self._timed("planner", lambda: self._decide(ego, risk, now))
+        took = getattr(self.cores, "took_ms", None)
+        if took is not None:
+            self.result.work_ms["planner"][-1] = took
         capture = now if ego is None else ego.capture_ns
         speed = 0.0 if ego is None else ego.value.speed
         self._note(plan, (capture - ORIGIN_NS) * 1e-9, speed)

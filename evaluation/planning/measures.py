@@ -48,7 +48,7 @@ def measured(scenario: Scenario, result: DriveResult, record: Recorder, yard: Ya
     allowed = OFF_ROAD_M + (max(0.0, float(overhang[0])) if overhang is not None else 0.0)
     work = result.work_ms.get("planner", [])
     first = np.array([p["t"] >= 0.0 for p in result.plans])
-    cycle = [round(ms, 2) for ms, driving in zip(work, first, strict=False) if driving]
+    cycle = [round(ms, 2) for ms, driving in zip(work, first, strict=False) if driving and not math.isnan(ms)]
     entry: dict[str, Any] = {
         "family": family,
         "collision": bool(collisions),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -47,6 +48,7 @@ def summary(entries: Entries) -> dict[str, Any]:
         "safe_stop_share": _share(sum(e["safe_stop_share"] * e["duration_s"] for e in good), length),
         "cycle_ms_p50": _percentile(cycle, 50),
         "cycle_ms_p99": _percentile(cycle, 99),
+        "failed_cycles": dict(sum((Counter(e.get("failed_cycles", {})) for e in good), Counter()).most_common()),
         "driven_km": round(km, 3),
         "at_fault_per_1000_km_bound": round(poisson_bound(sum(e["collision_at_fault"] for e in good), km), 1)
         if km > 0
@@ -195,6 +197,10 @@ def markdown(result: dict[str, Any]) -> str:
         bad = [f"{n}: {wrong(e)}" for n, e in entries.items() if wrong(e)]
         if bad:
             lines += ["", f"{planner} ({len(bad)}): {'; '.join(bad)}."]
+    for planner, s in result["summary"].items():
+        if s.get("failed_cycles"):
+            told = "; ".join(f"{n} × {why}" for why, n in s["failed_cycles"].items())
+            lines += ["", f"{planner}, cycles without a trajectory: {told}."]
     for name, why in result["not_loaded"].items():
         lines += ["", f"Not loaded: {name}: {why}"]
     return "\n".join(lines) + "\n"

@@ -35,9 +35,12 @@ def run(task: Task) -> dict[str, dict[str, Any]]:
     _one_thread()
     found: dict[str, dict[str, Any]] = {}
     driven: dict[str, tuple[DriveResult, Recorder]] = {}
+    failed: dict[str, dict[str, int]] = {}
     for planner in task.planners:
         try:
-            driven[planner] = _drive(task, driver(planner, task.tree))
+            who = driver(planner, task.tree)
+            driven[planner] = _drive(task, who)
+            failed[planner] = dict(getattr(who, "failures", {}))
         except Exception as e:  # whatever a strange world does, the other worlds are still to be driven
             found[planner] = {"error": f"{type(e).__name__}: {e}"}
     try:
@@ -47,7 +50,7 @@ def run(task: Task) -> dict[str, dict[str, Any]]:
     for planner, (result, record) in driven.items():
         try:
             entry = measured(task.scenario, result, record, yard, task.family)
-            found[planner] = {**entry, "traffic": task.traffic}
+            found[planner] = {**entry, "traffic": task.traffic, "failed_cycles": failed.get(planner, {})}
         except Exception as e:
             found[planner] = {"error": f"not measured: {type(e).__name__}: {e}"}
     return found

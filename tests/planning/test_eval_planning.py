@@ -205,7 +205,7 @@ def test_another_planner_joins_by_an_entry_point_under_its_own_name(monkeypatch:
         ]
     )
     monkeypatch.setattr(drivers.metadata, "entry_points", lambda group: points.select(group=group))
-    assert known() == ("default", "paper", "current-only", "idm", "peer")
+    assert known() == (*drivers.OURS, *drivers.ALONE, *drivers.PEERS, "peer")
     assert isinstance(drivers.driver("peer", {}), IdmDriver)
     with pytest.raises(ConfigError, match="there are default"):
         drivers.driver("nobody", {})
