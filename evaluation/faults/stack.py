@@ -57,7 +57,7 @@ class Stack:
     def start(
         self, name: str, *arguments: str, within: Sequence[str] = (), settings: Mapping[str, Any] | None = None
     ) -> Life:
-        """Start `router`, a service, `viz`, or a module by its name.
+        """Start `router`, another one (`edge`), a service, `viz`, or a module by its name.
 
         Args:
             name: what to start; the name of any other module is that module.
@@ -72,7 +72,7 @@ class Stack:
         config.flush()
         if name == "router" and not arguments:
             arguments = ("--listen", self.endpoint)
-        module = {**MODULES, "router": "common.router"}.get(name, name)
+        module = {**MODULES, "router": "common.router", "edge": "common.router"}.get(name, name)
         since = time.monotonic_ns()
         child = start(name, (module, *arguments), config, log, within=within)
         self.lives[name] = Life(name, child.process.pid, since, child, config)
@@ -194,6 +194,7 @@ def stack(
     road: bool = True,
     others: tuple[Topic, ...] = (),
     drive: bool = True,
+    upstream: str = "",
 ) -> Iterator[Stack]:
     """A router, some services, a vehicle and a listener.
 
@@ -205,6 +206,7 @@ def stack(
         road: publish map and route at once.
         others: topics whose headers the listener reads too (a risk volume is 3 MB: only where it is wanted).
         drive: wait until everything runs and the vehicle drives.
+        upstream: endpoint of another router that this one joins.
 
     Raises:
         FaultError: it did not come up.
@@ -219,7 +221,8 @@ def stack(
         config, log = clean.enter_context(tempfile.TemporaryFile()), clean.enter_context(tempfile.TemporaryFile())
         config.write(as_toml(base).encode())
         config.flush()
-        router = start("router", ("common.router", "--listen", f"tcp/127.0.0.1:{port}"), config, log)
+        joins = ("--upstream", upstream) if upstream else ()
+        router = start("router", ("common.router", "--listen", f"tcp/127.0.0.1:{port}", *joins), config, log)
         clean.callback(_end, router)
         since = time.monotonic_ns()
         bus = clean.enter_context(
