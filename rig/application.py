@@ -7,6 +7,8 @@ Exit codes: 0 done; 1 failed (a collision at fault, a service that died, an unhe
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -66,6 +68,9 @@ Device = Annotated[
 ]
 Json = Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")]
 Record = Annotated[Path | None, typer.Option("--record", help="Record the drive for Rerun.", metavar="OUT.rrd")]
+RecordBus = Annotated[
+    Path | None, typer.Option("--record-bus", help="Record every message, for `replay`.", metavar="OUT.mcap")
+]
 Logs = Annotated[Path | None, typer.Option("--logs", help="Keep the services' logs in this folder.", metavar="FOLDER")]
 Live = Annotated[int, typer.Option("--live", help="Port on which a Rerun viewer can watch; 0: none.", metavar="PORT")]
 
@@ -75,6 +80,7 @@ def run(
     scenario: Annotated[str, typer.Option("--scenario", help="Name (see `scenarios`), .xml or .csv[.gz] file.")],
     duration: Annotated[float | None, typer.Option("--duration", help="Seconds; default: all of it.", min=0.1)] = None,
     record: Record = None,
+    record_bus: RecordBus = None,
     json_: Json = None,
     device: Device = None,
     config_: Config = None,
@@ -91,6 +97,7 @@ def run(
     with exits():
         tree = _with_viz(configuration.load(config_, set_ or [], device), record, live, attach)
         writable("--json", json_)
+        beside = _bus_recorder(record_bus)
         world = load_scenario(
             scenario, seed=seed, ego_track=ego_track, settings=config.section(tree, "rig", RigSettings)
         )
@@ -109,7 +116,7 @@ def run(
 
         try:
             with progress(console, world.name) as show:
-                session.play(world, tree, options, show, done)
+                session.play(world, tree, options, show, done, beside)
         finally:
             if last:
                 _conclude(console, last)
@@ -220,6 +227,17 @@ def _with_viz(tree: Tree, record: Path | None, live: int, attach: bool) -> Tree:
         writable("--record", record)
         tree = configuration.with_keys(tree, "viz", record=str(record.absolute()))
     return configuration.with_keys(tree, "viz", serve=live) if live else tree
+
+
+def _bus_recorder(path: Path | None) -> Callable[[Tree], AbstractContextManager[None]]:
+    if path is None:
+        return lambda _: nullcontext()
+    from rig.bus_log.drive import recorder
+
+    if path.suffix != ".mcap":
+        raise ConfigError(f"--record-bus {path}: the name of a recorded bus ends in .mcap")
+    writable("--record-bus", path)
+    return lambda tree: recorder(tree, path)
 
 
 def _conclude(console: Console, result: dict[str, Any]) -> None:

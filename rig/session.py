@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,8 +43,9 @@ class Options:
 
 
 def play(
-    scenario: Scenario, tree: Tree, options: Options, show: Callable[[Moment], None], done: Callable[[Report], None]
-) -> None:
+    scenario: Scenario, tree: Tree, options: Options, show: Callable[[Moment], None], done: Callable[[Report], None],
+    beside: Callable[[Tree], AbstractContextManager[None]] = lambda _: nullcontext(),
+) -> None:  # fmt: skip
     """Bring everything up, drive, report, and take everything down.
 
     Args:
@@ -53,11 +54,16 @@ def play(
         options: how to run.
         show: called with what there is to see while it runs.
         done: called with the report of each drive: completed, failed, or as far as it got when it is told to stop.
+        beside: what runs beside it all, given the configuration with which the services are reached.
 
     Raises:
         ConfigError: the configuration cannot be used on this machine.
+        LaunchError: a process cannot be started.
     """
-    with running(tree, services_for(tree), attach=options.attach, logs=options.logs) as (tree, crew):
+    with (
+        running(tree, services_for(tree), attach=options.attach, logs=options.logs) as (tree, crew),
+        beside(tree),
+    ):
         while True:
             up = drive_once(scenario, tree, options, crew, show, done)
             if not options.loop or (crew is not None and not up):  # our own services do not come back by themselves

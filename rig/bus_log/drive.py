@@ -1,4 +1,4 @@
-"""Drives a scenario with the whole bus recorded from before the first message to after the last."""
+"""Records the whole bus beside a drive, from before its first message to after its last."""
 
 from __future__ import annotations
 
@@ -7,50 +7,27 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from common.config import Tree, as_toml
 from rig import session
 from rig.launcher import LaunchError
-from rig.live import Moment
-from rig.world import Scenario
 
 READY = "recording"
 """First word of what `forefield record` says when it hears the bus."""
 STOP_S = 60.0
 
 
-def play_recorded(
-    scenario: Scenario, tree: Tree, options: session.Options, path: Path, show: Callable[[Moment], None],
-    done: Callable[[session.Report], None], only: str = "",
-) -> None:  # fmt: skip
-    """Bring services and recorder up, drive, and take everything down.
-
-    Args:
-        scenario: the world.
-        tree: the resolved configuration.
-        options: how to run.
-        path: the MCAP file.
-        show: called with what there is to see.
-        done: called with the report.
-        only: topics to record; empty: all.
-
-    Raises:
-        LaunchError: a service or the recorder did not come up.
-    """
-    with (
-        session.running(tree, session.services_for(tree), logs=options.logs) as (reached, crew),
-        recorder(reached, path, only),
-    ):
-        assert crew is not None
-        session.drive_once(scenario, reached, options, crew, show, done)
-
-
 @contextmanager
 def recorder(tree: Tree, path: Path, only: str = "") -> Iterator[None]:
     """`forefield record` as a process of its own: packing volumes would disturb the rig's ticks.
+
+    Args:
+        tree: the configuration with which the bus is reached; the recording keeps it.
+        path: the MCAP file.
+        only: topics to record; empty: all.
 
     Raises:
         LaunchError: it does not come up.
@@ -58,7 +35,16 @@ def recorder(tree: Tree, path: Path, only: str = "") -> Iterator[None]:
     with tempfile.TemporaryFile() as config:
         config.write(as_toml(tree).encode())
         config.flush()
-        command = [sys.executable, "-P", "-m", "rig.command", "record", str(path.absolute())]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "rig.child",
+            str(os.getpid()),
+            "rig.command",
+            "record",
+            str(path.absolute()),
+        ]
         command += ["--config", f"/proc/self/fd/{config.fileno()}", *(["--only", only] if only else [])]
         environment = {k: v for k, v in os.environ.items() if not k.startswith("FOREFIELD__")}
         root = str(Path(session.__file__).resolve().parent.parent)

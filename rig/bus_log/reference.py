@@ -15,7 +15,7 @@ from pathlib import Path
 from common import config
 from common.topics import MIB, TOPICS
 from rig import configuration, session
-from rig.bus_log.drive import play_recorded
+from rig.bus_log.drive import recorder
 from rig.bus_log.mend import compact
 from rig.settings import RigSettings
 from rig.sources import load_scenario
@@ -38,7 +38,9 @@ def main(arguments: list[str]) -> int:
     with tempfile.TemporaryDirectory() as folder:
         raw = Path(folder) / "raw.mcap"
         options = session.Options(DURATION_S)
-        play_recorded(world, tree, options, raw, lambda _: None, reports.append, topics)
+        session.play(
+            world, tree, options, lambda _: None, reports.append, lambda reached: recorder(reached, raw, topics)
+        )
         driven = reports[-1]["modes"]["drive"]
         if driven < 0.9 * DURATION_S:
             print(f"only {driven:.1f} of {DURATION_S} s were driven: is the machine busy?", file=sys.stderr)

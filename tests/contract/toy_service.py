@@ -24,6 +24,8 @@ def build(tree: Tree, health: Health) -> Step:
     if tree.get("predictor"):
         raise ValueError("a mistake of ours, not of the configuration")
 
+    ends: dict[int, int] = {}
+
     def step(inputs: Inputs) -> Output | Idle:
         objects = inputs.fresh(topics.OBJECTS)
         if objects is None:
@@ -36,7 +38,7 @@ def build(tree: Tree, health: Health) -> Step:
         if code == -4:
             time.sleep(4 * PERIOD_S)
         if code == -5:
-            end = objects.received_ns + LATE_NS
+            end = ends.setdefault(objects.seq, inputs.now_ns + LATE_NS)
             early = inputs.now_ns < end
             time.sleep(2e-9 * LATE_NS if early else 0.0)
             late = samples.prediction(x0=np.full(3, 5.0 if early else 6.0))

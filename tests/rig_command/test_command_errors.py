@@ -45,6 +45,8 @@ def nothing_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
         ([*RUN, "--device", "tpu"], ["tpu", "cuda"]),
         ([*RUN, "--record", "drive.mp4"], ["drive.mp4", ".rrd"]),
         ([*RUN, "--record", "no/folder/drive.rrd"], ["no/folder", "no such folder"]),
+        ([*RUN, "--record-bus", "drive.rrd"], ["drive.rrd", ".mcap"]),
+        ([*RUN, "--record-bus", "no/folder/drive.mcap"], ["no/folder", "no such folder"]),
         ([*RUN, "--json", "no/folder/drive.json"], ["no/folder", "no such folder"]),
         ([*RUN, "--json", "."], ["is a folder"]),
         ([*RUN, "--attach", "--record", "drive.rrd"], ["--record"]),

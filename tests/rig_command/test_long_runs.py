@@ -55,7 +55,7 @@ def test_a_loop_keeps_only_the_report_of_the_last_drive_and_remembers_a_failure(
     alive: list[int] = []
     made: list[weakref.ref[Report]] = []
 
-    def play(scenario: object, tree: object, options: object, show: object, done: Any) -> None:
+    def play(scenario: object, tree: object, options: object, show: object, done: Any, beside: object) -> None:
         for outcome in outcomes:
             report = Report(outcome=outcome)
             made.append(weakref.ref(report))
