@@ -113,6 +113,11 @@ class Inbox:
         self._monitor.accepted(self.latest.capture_ns)
         return self.latest
 
+    def superseded(self) -> None:
+        """Of the last two messages taken nobody looked at the older: it was overwritten, and counts as nothing else."""
+        self._monitor.superseded()
+        self._health.count(f"{self.topic.suffix}:overwritten")
+
     def fresh(self, now_ns: int) -> Stamped[Any] | None:
         """The last good message if it is not older than its topic allows."""
         limit = self.topic.max_age_s

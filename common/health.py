@@ -53,6 +53,10 @@ class InputMonitor:
         """The newest message was not used."""
         self._valid = False
 
+    def superseded(self) -> None:
+        """A message that was accepted gave way to a newer one before it was used."""
+        self._used -= 1
+
     def view(self, now_ns: int) -> InputHealth:
         """State of this input at `now_ns`."""
         times = list(self._arrivals)

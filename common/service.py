@@ -174,7 +174,7 @@ def _loop(
             for name, inbox in inboxes.items():
                 if inbox.take() is not None:
                     if name in new:  # no step ever had the one before it
-                        health.count(f"{name}:overwritten")
+                        inbox.superseded()
                     new.add(name)
             health.turned()
             now = monotonic()

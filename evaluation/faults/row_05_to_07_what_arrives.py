@@ -35,11 +35,6 @@ INPUTS = (topics.EGO, topics.OBJECTS, topics.MAP, topics.ROUTE, topics.CLOSURES,
 HEARD = (topics.PLAN, STATUS_OF["planner"])
 """What vehicle and rig read: here an inbox of ours stands for them."""
 ALL = (*INPUTS, *HEARD)
-READS: dict[str, tuple[Topic, ...]] = {
-    "predictor": (topics.OBJECTS, topics.EGO, topics.MAP, topics.ROUTE),
-    "riskfield": (topics.PREDICTION, topics.EGO, topics.MAP, topics.CLOSURES),
-    "planner": (topics.EGO, topics.MAP, topics.ROUTE, topics.RISK),
-}
 DECODE_MS = 5.0
 GROWTH_MIB = 16.0
 BOMB_MIB = 64.0
@@ -278,6 +273,7 @@ class Siege:
         for t in (topics.PREDICTION, topics.RISK, topics.PLAN, *(STATUS_OF[n] for n in SERVICES)):
             s.bus.tap(t, self._output)
         self._begin = {name: self._status(name) for name in SERVICES}
+        self._reads = {name: [topics.TOPICS[t] for t in said.inputs] for name, said in self._begin.items()}
         self._rss = {name: resident(pid=s.lives[name].pid) for name in SERVICES}
         self._pids = {name: s.lives[name].pid for name in SERVICES}
 
@@ -323,7 +319,7 @@ class Siege:
         for name in SERVICES:
             before, now = self._begin[name], self._status(name)
             errors |= {f"{name} {k}": v for k, v in now.counters.items() if k.startswith("step:")}
-            for topic in READS[name]:
+            for topic in self._reads[name]:
                 a, b = before.inputs[topic.suffix], now.inputs[topic.suffix]
                 counted = {
                     k: v - before.counters.get(k, 0) for k, v in now.counters.items()
@@ -390,7 +386,7 @@ class Siege:
             self._take()
             now = [
                 (n, t.suffix, (h := self._status(n).inputs[t.suffix]).received, h.used)
-                for n in SERVICES for t in READS[n]
+                for n in SERVICES for t in self._reads[n]
             ]  # fmt: skip
             if now != last[0]:
                 last = now, time.monotonic()

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from common import topics
-from common.health import RATE_WINDOW, STALL_S, WORK_BUCKETS_S, WORK_WINDOW, Health, InputMonitor
+from common.health import DEADLINE, RATE_WINDOW, STALL_S, WORK_BUCKETS_S, WORK_WINDOW, Health, InputMonitor
 from common.messages import InputHealth
 
 S = 1_000_000_000
@@ -45,6 +45,16 @@ def test_a_latched_input_lives_from_its_first_message_on_and_tells_its_age() -> 
     assert monitor.view(4 * S) == InputHealth(alive=True, rate_ok=True, valid=True, age_s=3.0, received=2, used=1)
     monitor.refused()
     assert monitor.view(4 * S) == InputHealth(alive=True, rate_ok=True, valid=False, age_s=3.0, received=2, used=1)
+
+
+def test_what_gave_way_to_a_newer_message_was_not_used() -> None:
+    monitor = InputMonitor(topics.MAP)
+    for i in range(3):
+        monitor.arrived(i * S)
+        monitor.accepted(i * S)
+    monitor.superseded()
+    view = monitor.view(4 * S)
+    assert (view.received, view.used, view.valid) == (3, 2, True)
 
 
 def test_a_rated_input_tells_rate_age_and_counts() -> None:
@@ -152,6 +162,39 @@ def test_what_was_told_stays_as_it_was_told() -> None:
     health.detail["a"] = "c"
     health.count("x")
     assert status.detail == {"a": "b"} and status.counters == {}
+
+
+def lagging(state: str = "ready") -> Health:
+    clock = Clock()
+    health = Health("planner", clock)
+    for _ in range(20):
+        health.turned()
+        health.late(80 * MS)
+        clock.now += 100 * MS
+    health.say(state, "running")  # type: ignore[arg-type]
+    return health
+
+
+@pytest.mark.parametrize(("state", "told"), [("waiting", "degraded"), ("ready", "degraded"), ("degraded", "degraded"),
+                                             ("starting", "starting"), ("stopping", "stopping")])  # fmt: skip
+def test_what_lags_is_degraded_and_says_so_unless_it_starts_or_stops(state: str, told: str) -> None:
+    health = lagging(state)
+    status = health.status()
+    assert (status.state, health.state, health.reason) == (told, state, "running")
+    assert status.counters == {DEADLINE: 20}
+    if told == "degraded":
+        assert status.reason.endswith("; running") and "80 ms" in status.reason
+    else:
+        assert status.reason == "running"
+
+
+def test_what_lags_no_more_says_so_no_more() -> None:
+    health = lagging()
+    health._clock.now += 60 * S  # type: ignore[attr-defined]
+    health.turned()
+    health._clock.now += 60 * S  # type: ignore[attr-defined]
+    health.turned()
+    assert (health.status().state, health.status().reason) == ("ready", "running")
 
 
 def test_only_news_is_news() -> None:
