@@ -14,8 +14,10 @@ from evaluation.planning.recorder import Recorder
 from rig.sources.motion import fair
 from rig.world import Scenario
 
-ACCEL, BRAKE, LATERAL = 1.07, 1.5, 0.92
-"""What the planner allows itself in comfort [m/s²]."""
+ACCEL, BRAKE, LATERAL = 1.5, 1.5, 1.2
+"""What counts as comfortable [m/s²]."""
+JERK = 1.5
+"""The same of its rate [m/s³]."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def comfortably(p: F64, s: F64) -> tuple[F64, F64]:
     """Times [s] and distances [m] of one who drives the path `p` [n, 2], one row a frame, at arc lengths `s` [m].
 
     Never faster than recorded at any place, nor than `LATERAL` allows on the smoothed path; speeding up with at most
-    `ACCEL`, slowing down with at most `BRAKE`. Where the record stands, it waits as long.
+    `ACCEL`, slowing down with at most `BRAKE`; then averaged over so long a time that the jerk is at most `JERK` (by a
+    window of width T it is at most 2 a / T). Where the record stands, it waits as long.
     """
     grid: F64 = np.arange(0.0, float(s[-1]), 0.5, dtype=np.float64)
     if len(grid) < 3:
@@ -86,4 +89,11 @@ def comfortably(p: F64, s: F64) -> tuple[F64, F64]:
         v[i] = min(v[i], np.sqrt(v[i + 1] ** 2 + 2 * BRAKE * 0.5))
     waits = np.interp(grid, at, np.cumsum(~moving)[moving] * FRAME_S)
     times = np.concatenate(([0.0], np.cumsum(0.5 / (0.5 * (v[1:] + v[:-1]))))) + waits
-    return np.asarray(times, dtype=np.float64), grid
+    t: F64 = np.arange(0.0, float(times[-1]), FRAME_S, dtype=np.float64)
+    at_t = np.interp(t, times, grid)
+    half = round((ACCEL + BRAKE) / JERK / 2 / FRAME_S)
+    steps = np.arange(1, half + 1) * FRAME_S
+    first, last = v[0] if waits[0] == 0.0 else 0.0, float(at_t[-1] - at_t[-2]) / FRAME_S
+    padded = np.concatenate((at_t[0] - first * steps[::-1], at_t, at_t[-1] + last * steps))
+    smooth = np.convolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), mode="valid")
+    return t, smooth - smooth[0]
