@@ -80,9 +80,8 @@ def quintic(e0: F64, slope: F64, bend: F64, length: F64, u: F64) -> tuple[F64, F
 def frenet_start(reference: ReferenceLine, start: Start, near: float | None) -> tuple[float, float, float, float]:
     """(s, d, d', d'') of the start; d' is limited to ±1.2 (50°), d'' to what a vehicle can steer."""
     s, d = reference.project(start.x, start.y, start.heading, near)
-    p = reference.at(s)
-    k, rate = float(p.curvature), float(p.curvature_rate)
-    turn = float(np.clip((start.heading - float(p.heading) + np.pi) % (2 * np.pi) - np.pi, -0.88, 0.88))
+    _, _, heading, k, rate = reference.point(s)
+    turn = float(np.clip((start.heading - heading + np.pi) % (2 * np.pi) - np.pi, -0.88, 0.88))
     q = max(1.0 - k * d, 0.2)
     slope = q * np.tan(turn)
     bend = q / np.cos(turn) ** 2 * (start.curvature * q / np.cos(turn) - k) - (rate * d + k * slope) * np.tan(turn)

@@ -232,7 +232,7 @@ def _same(a: Route, b: Route) -> bool:
 def _heading_off(reference: ReferenceLine, start: Start, memory: Memory | None) -> float:
     near = memory.s if memory is not None and memory.s >= 0 else None
     s, _ = reference.project(start.x, start.y, start.heading, near)
-    return abs((start.heading - float(reference.at(s).heading) + np.pi) % (2 * np.pi) - np.pi)
+    return abs((start.heading - reference.point(s)[2] + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _where(error: Exception) -> str:

@@ -93,7 +93,8 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     curve = np.where(near & (look.cap.cause != CAUSES.index("limit")), look.cap.speed, np.inf).min(axis=1)
     curve = np.minimum(curve, curve[0])
     score = np.minimum(verdict.desired, curve) - settings.tier_cost * verdict.tier - verdict.penalty - cost
-    score -= np.where(verdict.tier > 1, settings.squeeze_cost * _squeeze(look, start), 0.0)
+    if (verdict.tier > 1).any():
+        score -= np.where(verdict.tier > 1, settings.squeeze_cost * _squeeze(look, start), 0.0)
     score = np.where(verdict.passed, score, -1e3 - cost)
 
     tier_index = len(Tier.all(settings)) - 1
@@ -239,11 +240,38 @@ def _targets(
     scene: Scene, s: F64, frenet: tuple[float, float, float, float], settings: PlannerSettings
 ) -> tuple[list[Target], F64]:
     """Offsets and neighbouring lanes, each with every length; and the move under way with what is left of it."""
+    kinds = _kinds(scene, s, frenet, settings)
+    speed = scene.start.speed
+    targets, lengths = [], []
+    for kind in kinds:
+        for least, seconds in settings.lengths:
+            targets.append(kind)
+            lengths.append(max(least, seconds * speed))
+    memory = scene.memory
+    if memory is not None:
+        left = max(memory.remaining - scene.travelled, 6.0, 1.5 * speed)
+        for kind in kinds:
+            if kind.name == memory.target_name:
+                targets.append(kind)
+                lengths.append(left)
+    return targets, np.array(lengths)
+
+
+def _kinds(
+    scene: Scene,
+    s: F64,
+    frenet: tuple[float, float, float, float],
+    settings: PlannerSettings,
+    wanted: str | None = None,
+) -> list[Target]:
+    """Offsets and neighbouring lanes; `wanted`: at least the one of that name."""
     zero = np.zeros_like(s)
     kinds = [
         Target(REFERENCE if o == 0.0 else f"{o:+.1f} m", np.full_like(s, o), zero, zero)
         for o in dict.fromkeys((0.0, *settings.offsets))
     ]
+    if any(t.name == wanted for t in kinds):
+        return kinds
     lanes, speed = scene.road.lanes, scene.start.speed
     stations = np.arange(len(lanes.limit), dtype=np.float64)
     longest = max(settings.lengths[-1][0], settings.lengths[-1][1] * speed)
@@ -258,19 +286,7 @@ def _targets(
         track = lanes.tracks[k]
         values = (np.interp(s, stations, q) for q in (track.centre, track.slope, track.bend))
         kinds.append(Target(track_name(k), next(values), next(values) * inside, next(values) * inside))
-    targets, lengths = [], []
-    for kind in kinds:
-        for least, seconds in settings.lengths:
-            targets.append(kind)
-            lengths.append(max(least, seconds * speed))
-    memory = scene.memory
-    if memory is not None:
-        left = max(memory.remaining - scene.travelled, 6.0, 1.5 * speed)
-        for kind in kinds:
-            if kind.name == memory.target_name:
-                targets.append(kind)
-                lengths.append(left)
-    return targets, np.array(lengths)
+    return kinds
 
 
 _BESIDE = 5.0  # m; lanes further from the ego are no targets
@@ -408,14 +424,15 @@ def _finish(
     fine = 4
     step = paths.step / fine
     s: F64 = np.asarray(look.frenet[0] + 0.5 * step * np.arange(3 * settings.stations * fine), dtype=np.float64)
-    targets, lengths = _targets(scene, s, look.frenet, settings)
+    name = paths.target[chosen]
+    target_line = next(t for t in _kinds(scene, s, look.frenet, settings, name) if t.name == name)
     path = Path.of(
         build_paths(
             scene.road.reference,
             s,
             look.frenet,
-            [targets[chosen]],
-            lengths[chosen : chosen + 1],
+            [target_line],
+            paths.length[chosen : chosen + 1],
             step=step,
             points=settings.stations * fine,
             max_curvature=settings.max_curvature,

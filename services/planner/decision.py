@@ -29,10 +29,10 @@ def explain(
     """Name what limits the speed to `desired`: the highest risk on the outline at the obstruction."""
     x, y, heading, _ = obstruction.path.at(np.array([obstruction.distance]))
     fx, fy = footprint.at(x, y, heading)
-    values, _known = volume.sample(fx[:, : footprint.outline], fy[:, : footprint.outline])  # [S, 1, k]
     slices = sorted({min(max(j, 0), volume.slices - 1) for j in obstruction.slices})
-    j = max(slices, key=lambda s: float(values[s].max()))
-    k = int(np.argmax(values[j, 0]))
+    values, _known = volume.sample(fx[:, : footprint.outline], fy[:, : footprint.outline], slices)  # [slices, 1, k]
+    worst = int(np.argmax(values.max(axis=(1, 2))))
+    j, k = slices[worst], int(np.argmax(values[worst, 0]))
     px, py = float(fx[0, k]), float(fy[0, k])
     cell = volume.cell(px, py)
     index = volume.first + j
@@ -58,7 +58,7 @@ def explain(
         source_id=known.id if known is not None else None,
         source_cls=known.cls if known is not None else None,
         term=term,
-        risk=float(values[j, 0, k]),
+        risk=float(values[worst, 0, k]),
     )
 
 
@@ -67,8 +67,8 @@ def _side(path: Path, distance: float, ahead: float, sample: float, volume: Volu
     x, y, heading, _ = path.at(np.array([distance]))
     c, s = np.cos(heading), np.sin(heading)
     across = np.linspace(0.0, _REACH, 13) * (1.0 if sample >= 0.0 else -1.0)
-    values, _known = volume.sample(x + c * ahead - s * across, y + s * ahead + c * across)
-    high = values[j] >= 0.9 * values[j].max()
+    (values,), _known = volume.sample(x + c * ahead - s * across, y + s * ahead + c * across, (j,))
+    high = values >= 0.9 * values.max()
     return float(across[int(np.argmax(high))])
 
 

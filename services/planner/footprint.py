@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -68,26 +68,40 @@ class Footprint:
 
         `behind` [m] is the gap to who follows that a path which leaves must have.
         """
-        columns = int(np.ceil(ego.length / spacing)) + 1
-        rows = int(np.ceil(ego.width / spacing)) + 1
-        lx = np.linspace(-ego.length / 2, ego.length / 2, columns) + ego.wheelbase / 2
-        ly = np.linspace(-ego.width / 2, ego.width / 2, rows)
+        if behind <= 0.0:
+            return _outlined(ego.length, ego.width, ego.wheelbase, spacing, flank_margin)
+        return Footprint._made(ego.length, ego.width, ego.wheelbase, spacing, flank_margin, behind)
+
+    @staticmethod
+    def _made(
+        length: float, width: float, wheelbase: float, spacing: float, flank_margin: float, behind: float
+    ) -> Footprint:
+        columns = int(np.ceil(length / spacing)) + 1
+        rows = int(np.ceil(width / spacing)) + 1
+        lx = np.linspace(-length / 2, length / 2, columns) + wheelbase / 2
+        ly = np.linspace(-width / 2, width / 2, rows)
         inner = ly[1:-1]
         tail = np.linspace(behind, 0.0, int(np.ceil(behind / _TAIL)), endpoint=False)
         outline = 2 * (columns + len(inner))
         x = np.concatenate((lx, lx, np.full(len(inner), lx[-1]), np.full(len(inner), lx[0]), lx[0] - tail))
         y = np.concatenate((np.full(columns, ly[-1]), np.full(columns, ly[0]), inner, inner, np.zeros(len(tail))))
-        before = (x >= lx[-1] - 1e-9) & (np.abs(y) <= ego.width / 2 - CORNER)
+        before = (x >= lx[-1] - 1e-9) & (np.abs(y) <= width / 2 - CORNER)
         margin = np.where(before | (np.arange(len(x)) >= outline), 0.0, flank_margin)
         ahead = np.where(x >= lx[-1] - _AHEAD, margin, _NEVER)
-        rear = x < ego.wheelbase / 2 - 1e-9
+        rear = x < wheelbase / 2 - 1e-9
         sides = np.where(rear, 0, (y > -1e-9) * 1 + (y < 1e-9) * 2).astype(np.uint8)
-        return Footprint(x, y, float(lx[-1]), ego.width / 2, margin, ahead, rear, sides, outline)
+        return Footprint(x, y, float(lx[-1]), width / 2, margin, ahead, rear, sides, outline)
 
     def at(self, x: F64, y: F64, heading: F64) -> tuple[F64, F64]:
         """The samples with the rear axle at poses of shape [...], each [..., samples], `map` frame."""
         c, s = np.cos(heading)[..., None], np.sin(heading)[..., None]
         return x[..., None] + c * self.x - s * self.y, y[..., None] + s * self.x + c * self.y
+
+
+@lru_cache(maxsize=16)
+def _outlined(length: float, width: float, wheelbase: float, spacing: float, flank_margin: float) -> Footprint:
+    """The outline alone, made once for each size."""
+    return Footprint._made(length, width, wheelbase, spacing, flank_margin, 0.0)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ nothing; the first launch does (seconds when the cache is cold).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -235,26 +236,37 @@ def look_up(
         slice_of: the one slice in which each point is looked up [p], then S is 1; None: all.
     """
     n, points = x.shape
-    g, m, dominant = volume.risk.grid, volume.risk.volume, volume.risk.dominant
-    i, j = volume.coordinates(x, y)
-    turn = heading - g.heading
     slices = volume.slices if slice_of is None else 1
     risk, four = np.empty((n, slices, points), np.float32), np.empty((4, n, slices, points), np.float32)
     stays, whole = np.empty((n, points), np.float32), np.empty((n, points), np.uint8)
     who = np.empty(four.shape, np.uint8)
-    q = look_up_source.LookUp(
-        slices=slices, first=volume.first, rows=g.rows, columns=g.columns, block_columns=dominant.shape[2],
-        block_plane=dominant.shape[1] * dominant.shape[2], samples=len(outline.x), groups=len(outline.begin) - 1,
-        later=later, half=int(m.dtype == np.float16), timed=int(slice_of is not None), paths=n, points=points,
-        r_hit=named[0], r0=named[1], volume=m, dominant=dominant, who_of=volume.who, x=i, y=j,
-        cos=np.cos(turn) / g.h, sin=np.sin(turn) / g.h, outline_x=outline.x, outline_y=outline.y, begin=outline.begin,
-        outline=outline.known, taken=outline.taken, counts=outline.counts, leaves=leaves, risk=risk, stays=stays,
-        whole=whole, four=four, who=who,
+    q, kept = _prepared(volume, outline)
+    q.fill(
+        slices=slices, later=later, timed=int(slice_of is not None), paths=n, points=points, r_hit=named[0],
+        r0=named[1], x=x, y=y, heading=heading, leaves=leaves, risk=risk, stays=stays, whole=whole, four=four, who=who,
     )  # fmt: skip
     if slice_of is not None:
         q.fill(slice_of=slice_of)
     _launch(look_up_kernel, n * -(-points // LANES), q)
+    del q.kept[kept:]
     return risk, stays, whole.view(np.bool_), four, who
+
+
+def _prepared(volume: Volume, outline: Outline) -> tuple[Parameters, int]:
+    """What every look-up of an outline in a volume needs, and how many arrays that keeps."""
+    known = volume.prepared.get(id(outline))
+    if known is None:
+        g, m, dominant = volume.risk.grid, volume.risk.volume, volume.risk.dominant
+        q = look_up_source.LookUp(
+            first=volume.first, rows=g.rows, columns=g.columns, block_columns=dominant.shape[2],
+            block_plane=dominant.shape[1] * dominant.shape[2], half=int(m.dtype == np.float16), volume=m,
+            dominant=dominant, who_of=volume.who, grid_x=g.x, grid_y=g.y, grid_cos=math.cos(g.heading),
+            grid_sin=math.sin(g.heading), grid_heading=g.heading, h=g.h, samples=len(outline.x),
+            groups=len(outline.begin) - 1, outline_x=outline.x, outline_y=outline.y, begin=outline.begin,
+            outline=outline.known, taken=outline.taken, counts=outline.counts,
+        )  # fmt: skip
+        known = volume.prepared[id(outline)] = outline, q, len(q.kept)
+    return known[1], known[2]
 
 
 def law(

@@ -7,6 +7,7 @@ moves it by less than a hand's breadth, narrow in tight turns.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -100,26 +101,51 @@ class ReferenceLine:
 
         s < 0 before the line and s > length behind it; d > 0 to its left [m].
         """
-        cost = (self.x - x) ** 2 + (self.y - y) ** 2
-        if near is not None:
-            s = self.spacing * np.arange(len(self.x))
-            window = (s > near - 10.0) & (s < near + 30.0)
-            if np.any(window) and float(cost[window].min()) < 100.0:
-                cost = np.where(window, cost, np.inf)
-        else:  # of two legs of the line the one that runs the ego's way, unless it is 6 m further
-            cost = np.sqrt(cost) + 3.0 * (1.0 - np.cos(self.heading - heading))
-        s0 = self.spacing * float(np.argmin(cost))
+        s0 = self.spacing * self._nearest(x, y, heading, near)
         d = 0.0
         for _ in range(6):
-            p = self.at(s0)
-            dx, dy = x - float(p.x), y - float(p.y)
-            c, sn = float(np.cos(p.heading)), float(np.sin(p.heading))
+            px, py, way, curvature, _ = self.point(s0)
+            dx, dy = x - px, y - py
+            c, sn = math.cos(way), math.sin(way)
             d = -sn * dx + c * dy
-            move = (c * dx + sn * dy) / max(1.0 - float(p.curvature) * d, 0.2)
-            s0 += float(np.clip(move, -2.0, 2.0)) if 0.0 <= s0 <= self.length else c * dx + sn * dy
+            move = (c * dx + sn * dy) / max(1.0 - curvature * d, 0.2)
+            s0 += min(max(move, -2.0), 2.0) if 0.0 <= s0 <= self.length else c * dx + sn * dy
             if abs(move) < 1e-6:
                 break
         return s0, d
+
+    def _nearest(self, x: float, y: float, heading: float, near: float | None) -> int:
+        """Index of the vertex from which a projection starts."""
+        if near is not None:
+            first = min(max(math.floor((near - 10.0) / self.spacing) + 1, 0), len(self.x))
+            last = min(max(math.ceil((near + 30.0) / self.spacing), 0), len(self.x))
+            if first < last:
+                cost = (self.x[first:last] - x) ** 2 + (self.y[first:last] - y) ** 2
+                i = int(np.argmin(cost))
+                if cost[i] < 100.0:
+                    return first + i
+        cost = (self.x - x) ** 2 + (self.y - y) ** 2
+        if near is None:  # of two legs of the line the one that runs the ego's way, unless it is 6 m further
+            cost = np.sqrt(cost) + 3.0 * (1.0 - np.cos(self.heading - heading))
+        return int(np.argmin(cost))
+
+    def point(self, s: float) -> tuple[float, float, float, float, float]:
+        """x, y, heading, curvature and its rate at one arc length, as `at` has them."""
+        inside = min(max(s, 0.0), self.length)
+        over = s - inside
+        f = inside / self.spacing
+        i = min(int(f), len(self.x) - 2)
+        w = f - i
+
+        def value(a: F64) -> float:
+            low, high = a.item(i), a.item(i + 1)
+            return float(low + w * (high - low))
+
+        heading = value(self.heading)
+        x, y = value(self.x) + over * math.cos(heading), value(self.y) + over * math.sin(heading)
+        if over != 0.0:
+            return x, y, heading, 0.0, 0.0
+        return x, y, heading, value(self.curvature), value(self.curvature_rate)
 
     def project_lines(self, lines: Sequence[F64]) -> list[tuple[F64, F64]]:
         """Frenet coordinates (s, d) of the points [n, 2] of lines that run along this one, each [n].

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,9 +73,9 @@ class Motion:
 
     def at(self, t: float) -> tuple[float, float, float]:
         """(distance, speed, acceleration) at a time, held at the ends."""
-        i = int(np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2))
+        i = min(max(int(np.searchsorted(self.t, t, side="right")) - 1, 0), len(self.t) - 2)
         h = float(self.t[i + 1] - self.t[i])
-        u = float(np.clip(t - self.t[i], 0.0, h))
+        u = min(max(t - float(self.t[i]), 0.0), h)
         w = u / h
         v0, v1 = float(self.speed[i]), float(self.speed[i + 1])
         v = v0 + w * (v1 - v0)
@@ -99,12 +100,12 @@ class Motion:
 def brake_motion(t0: float, distance: float, speed: float, acceleration: float, brake: float, jerk: float) -> Motion:
     """Brake to rest from a state at t0; times go on, the last sample stands still. `jerk` builds the brake up."""
     dt = 0.05
-    t, s, v, a = [t0], [distance], [max(speed, 0.0)], [acceleration]
+    t, s, v, a = [t0], [float(distance)], [max(float(speed), 0.0)], [float(acceleration)]
     while v[-1] > 0.0:
         # near rest the brake is let go so that the vehicle stands softly
-        wanted = -min(brake, float(np.sqrt(2.0 * jerk * v[-1])) + 0.3)
+        wanted = -min(brake, math.sqrt(2.0 * jerk * v[-1]) + 0.3)
         rise = jerk if a[-1] > wanted else 4.0 * jerk
-        a_next = a[-1] + float(np.clip(wanted - a[-1], -rise * dt, 4.0 * jerk * dt))
+        a_next = a[-1] + min(max(wanted - a[-1], -rise * dt), 4.0 * jerk * dt)
         v_next = v[-1] + 0.5 * (a[-1] + a_next) * dt
         if v_next <= 1e-3:
             mean = max(-0.5 * (a[-1] + a_next), v[-1] / (4.0 * dt), 1e-3)

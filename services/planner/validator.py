@@ -36,9 +36,11 @@ def validate(plan: Plan, ego: Ego, volume: Volume | None, settings: PlannerSetti
     if problem or volume is None:
         return problem
     footprint = Footprint.of(ego, settings.footprint_spacing, settings.flank_margin)
-    start_risk = float(trajectory_risk(profile, volume, footprint, ego)[0][0])
+    met = trajectory_risk(profile, volume, footprint, ego)
+    start_risk = float(met[0][0])
     for name, part in (("profile", profile), ("tail", tail)):
-        problem = _risk_problem(part, ego, volume, footprint, start_risk, settings, tail=part is tail)
+        found = met if part is profile else trajectory_risk(part, volume, footprint, ego)
+        problem = _risk_problem(part, found, ego, volume, footprint, start_risk, settings, tail=part is tail)
         if problem:
             return f"{name}: {problem}"
     return ""
@@ -122,6 +124,7 @@ def contact_bound(start_risk: float, settings: PlannerSettings) -> float:
 
 def _risk_problem(
     part: Trajectory,
+    met: tuple[F64, npt.NDArray[np.bool_]],
     ego: Ego,
     volume: Volume,
     footprint: Footprint,
@@ -130,14 +133,15 @@ def _risk_problem(
     *,
     tail: bool,
 ) -> str:
-    risk, known = trajectory_risk(part, volume, footprint, ego)
+    """What is wrong with a part that has `met` this (see `trajectory_risk`)."""
+    risk, known = met
     moving = part.speed > 0.05
     bound = contact_bound(start_risk, settings)
     braking = bool(np.all(np.diff(part.speed) <= 1e-9)) and _brakes_hard(part, settings)
-    half = 0.5 * ego.wheelbase
-    x, y = part.x - half * np.cos(part.heading), part.y - half * np.sin(part.heading)
     bad = moving & ~(risk <= bound)
     if bad.any():
+        half = 0.5 * ego.wheelbase
+        x, y = part.x - half * np.cos(part.heading), part.y - half * np.sin(part.heading)
         bad &= meets(volume, footprint, x, y, part.heading, part.t, bound)
         bad &= ~_comes_over(part, ego, volume, footprint, settings)
     if bad.any() and not braking:

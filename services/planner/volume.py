@@ -6,6 +6,7 @@ from the plan's own capture, so that an older volume is shifted by its age. Poin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -51,6 +52,11 @@ class Volume:
                 out[i] = min(numbers.setdefault((slot.id, slot.cls), len(numbers)), NOBODY)
         return out
 
+    @cached_property
+    def prepared(self) -> dict[int, Any]:
+        """For the kernels: what they have made ready for looking this volume up."""
+        return {}
+
     @property
     def slices(self) -> int:
         """Number of slices from now on."""
@@ -72,8 +78,12 @@ class Volume:
         i, j = self.coordinates(x, y)
         return np.asarray((i >= 0) & (i <= self.risk.grid.rows) & (j >= 0) & (j <= self.risk.grid.columns))
 
-    def sample(self, x: F64, y: F64) -> tuple[F32, Bools]:
-        """Risk at points of any shape [...] in every slice from now on [S, ...], 0 where unknown; and what is known."""
+    def sample(self, x: F64, y: F64, slices: Sequence[int] | None = None) -> tuple[F32, Bools]:
+        """Risk at points of any shape [...] in every slice from now on [S, ...], 0 where unknown; and what is known.
+
+        `slices`: only in these, counted from the one in force.
+        """
+        slices = range(self.slices) if slices is None else slices
         g = self.risk.grid
         fi, fj = self.coordinates(x, y)
         known = (fi >= 0) & (fi <= g.rows) & (fj >= 0) & (fj <= g.columns)
@@ -89,11 +99,11 @@ class Volume:
             (g.columns, wi * (1 - wj)),
             (g.columns + 1, wi * wj),
         )
-        out = np.zeros((self.slices, *x.shape), dtype=np.float32)
-        for j_slice in range(self.slices):
+        out = np.zeros((len(slices), *x.shape), dtype=np.float32)
+        for row, j_slice in zip(out, slices, strict=True):
             cells = flat[self.first + j_slice]
             for shift, weight in weights:
-                out[j_slice] += np.take(cells, index + shift) * weight
+                row += np.take(cells, index + shift) * weight
         return out, known
 
     def sample_at(self, x: F64, y: F64, slices: npt.NDArray[np.intp]) -> F32:

@@ -34,6 +34,7 @@ SOURCE = Law.cpp + (
     double* law = p.law + base; double* law_now = p.law_now + base;
     const double none = -1e9, any = 1e18;
     double front[128][32], back[128][32], speed[128][32];
+    int first[128][32], last[128][32];
     const double span = p.r1 - p.r0 > 1e-9 ? p.r1 - p.r0 : 1e-9;
     for (int side = 0; side < 2; ++side) {
         const float* risk = (side ? p.right : p.left) + base;
@@ -42,20 +43,29 @@ SOURCE = Law.cpp + (
         int names[128], sources = 0;
         // between which stations each source makes itself felt, where that is known
         for (int j = 0; j < T; ++j) {
-            const float* r = risk + (long long)j * P;
             for (int i = 0; i < P; ++i) {
                 const int k = who[(long long)j * P + i];
                 if (k >= MOST) continue;
                 if (!met[k]) {
                     met[k] = true; names[sources++] = k;
-                    for (int m = 0; m < T; ++m) { front[k][m] = none; back[k][m] = none; }
+                    for (int m = 0; m < T; ++m) last[k][m] = -1;
                 }
-                if (back[k][j] == none && front[k][j] == none && i > 0) {
-                    const double w = r[i - 1] < p.r0 ? (p.r0 - r[i - 1]) / (r[i] - r[i - 1] + 1e-12) : 0.5;
-                    back[k][j] = i - 1 + w;
-                }
-                front[k][j] = i + 1 >= P ? none
-                    : i + (r[i + 1] < p.r0 ? (r[i] - p.r0) / (r[i] - r[i + 1] + 1e-12) : 0.5);
+                if (last[k][j] < 0) first[k][j] = i;
+                last[k][j] = i;
+            }
+        }
+        for (int m = 0; m < sources; ++m) {
+            const int k = names[m];
+            for (int j = 0; j < T; ++j) {
+                front[k][j] = none; back[k][j] = none;
+                if (last[k][j] < 0) continue;
+                const float* r = risk + (long long)j * P;
+                int i = first[k][j];
+                if (i > 0)
+                    back[k][j] = i - 1 + (r[i - 1] < p.r0 ? (p.r0 - r[i - 1]) / (r[i] - r[i - 1] + 1e-12) : 0.5);
+                i = last[k][j];
+                if (i + 1 < P)
+                    front[k][j] = i + (r[i + 1] < p.r0 ? (r[i] - p.r0) / (r[i] - r[i + 1] + 1e-12) : 0.5);
             }
         }
         for (int m = 0; m < sources; ++m) {

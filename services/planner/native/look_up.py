@@ -34,10 +34,15 @@ LookUp = structure(
     const void* volume;   // of uint16 or float
     const unsigned char* dominant;   // [slices, blocks, blocks]
     const unsigned char* who_of;     // [256]: source of each slot
-    const double* x;      // [n, points]: rear axle in grid coordinates [cells]
+    double grid_x;        // corner of cell (0, 0) [m]
+    double grid_y;
+    double grid_cos;      // of the grid's heading
+    double grid_sin;
+    double grid_heading;
+    double h;             // side of a cell [m]
+    const double* x;      // [n, points]: rear axle, `map` frame [m]
     const double* y;
-    const double* cos;    // of the heading in the grid, per cell of h
-    const double* sin;
+    const double* heading;
     const double* outline_x;         // [samples]: of the outline, frame of the rear axle [m]; group by group
     const double* outline_y;
     const int* begin;     // [groups + 1]: of each group's samples
@@ -77,7 +82,10 @@ SOURCE = LookUp.cpp + (
     int missing[L], slice[L];
     for (int q = 0; q < L; ++q) {  // lanes beyond the last station repeat it
         const int at = q < n ? q : n - 1;
-        x[q] = p.x[start + at]; y[q] = p.y[start + at]; co[q] = p.cos[start + at]; si[q] = p.sin[start + at];
+        const double dx = p.x[start + at] - p.grid_x, dy = p.y[start + at] - p.grid_y;
+        const double turn = p.heading[start + at] - p.grid_heading;
+        x[q] = (p.grid_cos * dx + p.grid_sin * dy) / p.h; y[q] = (-p.grid_sin * dx + p.grid_cos * dy) / p.h;
+        co[q] = cos(turn) / p.h; si[q] = sin(turn) / p.h;
         missing[q] = 0;
         slice[q] = p.timed ? p.slice_of[from + at] : 0;
     }
@@ -161,9 +169,14 @@ SOURCE = LookUp.cpp + (
         }
         for (int w = 0; w < 4; ++w) {  // whose it is: the block of the sample that met it
             const float bound = w < 2 ? p.r_hit : p.r0;
-            for (int q = 0; q < n; ++q)
-                p.who[w * all + out + q] = most[w][q] >= bound
-                    ? p.who_of[dominant[(long long)j * p.block_plane + block[best[w][q] * L + q]]] : 255;
+            unsigned char name[8] = {255, 255, 255, 255, 255, 255, 255, 255};
+            unsigned int some = 0;
+            for (int q = 0; q < L; ++q) some |= (unsigned int)(most[w][q] >= bound) << q;
+            for (; some; some &= some - 1) {
+                const int q = __builtin_ctz(some);
+                name[q] = p.who_of[dominant[(long long)j * p.block_plane + block[best[w][q] * L + q]]];
+            }
+            __builtin_memcpy(p.who + w * all + out, name, n);
         }
     }
     v8f stays = {};
