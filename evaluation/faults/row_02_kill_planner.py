@@ -88,7 +88,7 @@ def killed(s: Stack, kept: deque[Raw]) -> Life:
         raise FaultError("the planner had not planned")
     first = s.watch.first("plan", begin, 60.0, "a plan of the new planner", lambda h: h.boot != old.boot)
     in_force = until(lambda: next((p for p in reversed(s.vehicle.accepted) if p.boot == old.boot), None), 1.0, "a plan")
-    over = in_force.capture_ns + round(in_force.value.valid_for * 1e9)
+    over = in_force.capture_ns + round(in_force.valid_for * 1e9)
     until(
         lambda: s.vehicle.body.plan is not None and s.vehicle.body.plan.boot == first.boot, 5.0, "the new plan in force"
     )

@@ -67,24 +67,24 @@ def run(scale: Scale, seed: int, say: Say) -> Row:
     return verdict.row(NUMBER, fault, TARGET, figures, proof)
 
 
-def paused(s: Stack, service: str) -> Back:
+def paused(s: Stack, service: str, seconds: float = PAUSE_S) -> Back:
     """Pause a service upstream; returns once the vehicle drives. It is ready when it runs again: SIGCONT."""
     begin = time.monotonic_ns()
     s.pause(service)
     _, stop_ms = safe_stop_ms(s, begin)
-    time.sleep(max(PAUSE_S - (time.monotonic_ns() - begin) * NS_TO_S, 0.0))
+    time.sleep(max(seconds - (time.monotonic_ns() - begin) * NS_TO_S, 0.0))
     s.resume(service)
     ready = time.monotonic_ns()
     drive = s.wait_drive(ready)
     return Back(service, stop_ms, (drive.arrived_ns - ready) * NS_TO_S, (ready - begin) * NS_TO_S)
 
 
-def planner_paused(s: Stack) -> tuple[list[Tick], float]:
+def planner_paused(s: Stack, seconds: float = PAUSE_S) -> tuple[list[Tick], float]:
     """Pause the planner; returns the ticks past its last plan's `valid_for`, and the time to drive again [s]."""
     begin = time.monotonic_ns()
     s.pause("planner")
     stood = time.monotonic_ns()
-    time.sleep(PAUSE_S - (stood - begin) * NS_TO_S)
+    time.sleep(max(seconds - (stood - begin) * NS_TO_S, 0.0))
     plan = s.vehicle.body.plan
     assert plan is not None
     resumed = time.monotonic_ns()

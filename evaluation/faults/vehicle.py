@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from common.bus import Bus
-from common.messages import Plan, Stamped
+from common.messages import Cause, Plan
 from common.topics import EGO, MAP, OBJECTS, PLAN, ROUTE
 from evaluation.bench_scene import ROAD_M, BenchScene
 from rig.settings import RigSettings
@@ -47,6 +47,19 @@ class Tick:
     """What that plan asks for at this moment [m/s]; 0 without a plan."""
 
 
+@dataclass(frozen=True)
+class Accepted:
+    """A plan that the vehicle took."""
+
+    received_ns: int
+    capture_ns: int
+    boot: str
+    seq: int
+    cause: Cause | None
+    mode: str
+    valid_for: float  # [s]
+
+
 class Vehicle:
     """Drives from a thread of its own until it is closed."""
 
@@ -61,8 +74,8 @@ class Vehicle:
         """How often it was put back to the start of the road."""
         self.objects_put_ns: dict[int, int] = {}
         """When each `objects` message was captured, by its sequence number [ns]."""
-        self.accepted: deque[Stamped[Plan]] = deque(maxlen=40)
-        """The newest plans it took."""
+        self.accepted: deque[Accepted] = deque(maxlen=20 * 60 * 10)
+        """The plans it took, without their content."""
         self.late_ns = 0
         """How late its worst tick was [ns]."""
         self.error: BaseException | None = None
@@ -132,7 +145,12 @@ class Vehicle:
     def _take(self) -> None:
         plan = self._plans.take()
         if plan is not None:
-            self.accepted.append(plan)
+            value = plan.value
+            self.accepted.append(
+                Accepted(
+                    plan.received_ns, plan.capture_ns, plan.boot, plan.seq, plan.cause, value.mode, value.valid_for
+                )
+            )
             self.body.receive(plan)
 
     def _note(self, now_ns: int) -> None:
