@@ -9,9 +9,11 @@ PYTEST_ARGS ?=
 WORKERS ?= 2
 # Where pip may look for PyTorch beside its usual index, such as PyTorch's own index of CPU builds.
 TORCH_INDEX ?=
+# Such as FAULTS_ARGS='--only 1 3 --seed 7': these rows alone; the others stay as they are in the table.
+FAULTS_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow test-docker reference-drive check audit sbom format clean
+.PHONY: help setup demo test test-slow test-docker faults faults-full reference-drive check audit sbom format clean
 
 help: ## Show what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | column -t -s "$$(printf '\t')"
@@ -39,6 +41,12 @@ test-slow: $(STAMP) ## Run the long checks
 
 test-docker: $(STAMP) ## Build and run the images on a real Docker engine
 	@$(BIN)/python -m pytest -m docker --timeout 1800 $(PYTEST_ARGS)
+
+faults: $(STAMP) ## Break everything on purpose and write the table into docs/safety.md (15 minutes, a quiet machine)
+	@$(BIN)/python -m evaluation.faults --json docs/faults.json --markdown docs/safety.md $(FAULTS_ARGS)
+
+faults-full: $(STAMP) ## The same with the full counts (hours)
+	@$(BIN)/python -m evaluation.faults --full --json docs/faults.json --markdown docs/safety.md $(FAULTS_ARGS)
 
 reference-drive: $(STAMP) ## Renew the recorded drive that the tests repeat (tests/replay)
 	@$(BIN)/python -m rig.bus_log.reference tests/replay/reference_drive.mcap

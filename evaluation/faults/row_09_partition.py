@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from evaluation.faults.network import THERE, Cable, second_host
+from evaluation.faults.network import Cable, second_host
 from evaluation.faults.outage import AGAIN_S, NS_TO_MS, NS_TO_S, Back, judge, old_drives, plan_figures
 from evaluation.faults.result import FaultError, Figure, Row, Say, Scale, Verdict
 from evaluation.faults.stack import Stack, stack
@@ -17,7 +17,6 @@ from evaluation.faults.watch import Heard
 
 NUMBER = 9
 TARGET = "as row 1: 0 missed plans, gap p99.9 ≤ 75 ms, safe stop ≤ 370 ms after the last valid capture; back ≤ 2 s"
-FAR_ENDPOINT = f"tcp/{THERE}:7447"
 RATE = "1mbit"
 RATE_S = 5.0
 RATE_BYTES_S = 1e6 / 8
@@ -30,10 +29,10 @@ def run(scale: Scale, seed: int, say: Say) -> Row:
     backs: list[Back] = []
     gaps, old, rates = [], [], []
     unstopped: dict[str, int] = {}
-    with second_host() as cable, stack(names=("planner",), seed=seed, drive=False, upstream=FAR_ENDPOINT) as s:
-        s.start("edge", "--listen", FAR_ENDPOINT, within=cable.within)
+    with second_host() as cable, stack(names=("planner",), seed=seed, drive=False, upstream=cable.endpoint) as s:
+        s.start("edge", "--listen", cable.endpoint, within=cable.within)
         for service in ("predictor", "riskfield"):
-            s.start(service, within=cable.within, settings={"bus.connect": [FAR_ENDPOINT]})
+            s.start(service, within=cable.within, settings={"bus.connect": [cable.endpoint]})
         for seconds, n in cuts.items():
             for _ in range(n):
                 s.settle()
