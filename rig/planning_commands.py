@@ -72,6 +72,14 @@ def eval_planning(
     cluster: Annotated[
         str, typer.Option("--cluster", help="A Dask scheduler that computes the drives.", metavar="ADDRESS")
     ] = "",
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            "--checkpoint",
+            help="Keep every finished drive there; with the same command a run that was stopped goes on.",
+            metavar="FILE.jsonl",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Varies named scenarios; draws the variants.", min=0)] = 0,
     json_: Json = None,
     html: Annotated[Path | None, typer.Option("--html", help="Write tables as one page.", metavar="OUT.html")] = None,
@@ -90,6 +98,7 @@ def eval_planning(
             settings.append(f"predictor.policy={predictor}")
         tree = configuration.load(config_, settings)
         writable("--json", json_)
+        writable("--checkpoint", checkpoint)
         writable("--html", html)
         writable("--markdown", markdown)
         if cluster and jobs > 1:
@@ -106,6 +115,7 @@ def eval_planning(
             jobs=jobs,
             cluster=cluster,
             seed=seed,
+            checkpoint=checkpoint,
             console=Console(stderr=True),
             command=shlex.join(["forefield", *sys.argv[1:]]),
             keep=lambda result: write(json_, result) if json_ is not None else None,

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Protocol
 
 from rich.console import Console
@@ -16,6 +17,7 @@ from rich.table import Table
 from common import config
 from common.config import ConfigError, Tree
 from evaluation.planning import report, volume
+from evaluation.planning.checkpoint import Checkpoint, identity
 from evaluation.planning.choosing import choices, loaded, replaced_vehicles
 from evaluation.planning.drivers import check
 from evaluation.planning.engines import outcomes
@@ -52,12 +54,16 @@ def run(
     seed: int = 0,
     console: Console | None = None,
     command: str = "",
+    checkpoint: Path | None = None,
     keep: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Drive everything and return the result as JSON wants it; `keep` gets what there is so far now and then.
 
+    What stands in the file `checkpoint` is not driven again, and what is done is added to it.
+
     Raises:
-        ConfigError: what is asked for cannot be: unknown planners, a folder without scenarios, no cluster.
+        ConfigError: what is asked for cannot be: unknown planners, a folder without scenarios, no cluster; a checkpoint
+            of another run.
     """
     console = console or Console(stderr=True)
     for planner in planners:
@@ -68,8 +74,12 @@ def run(
         raise ConfigError(f"{' and '.join(asked)}: one of them at a time")
     planners = list(dict.fromkeys(planners))
     began = time.monotonic()
+    what = (
+        "sumo" if sumo_km else f"{'tracks' if tracks else 'variants' if variants else 'scenarios'}, {traffic} traffic"
+    )
+    done = Checkpoint(checkpoint, identity(tree, seed, what))
     if sumo_km:
-        scenarios = _in_sumo(tree, planners, sumo_km, seed, console)
+        scenarios = _in_sumo(tree, planners, sumo_km, seed, jobs, done, console)
         return _result(command, seed, {}, scenarios, began)
     not_loaded: dict[str, str] = {}
     rig = config.section(tree, "rig", RigSettings)
@@ -83,7 +93,11 @@ def run(
     if not worlds:
         raise ConfigError(f"none of the {len(not_loaded)} scenarios can be loaded")
     tasks = [Task(w.choice.name, w.choice.family, w.scenario, tuple(planners), tree, w.traffic) for w in worlds]
-    found: dict[int, dict[str, dict[str, Any]]] = {}
+    known = [done.of(task.name, planners) for task in tasks]
+    found = {i: entries for i, entries in enumerate(known) if len(entries) == len(planners)}
+    todo = [i for i in range(len(tasks)) if i not in found]
+    if found:
+        console.print(f"{len(found)} of {len(tasks)} scenarios stand in {checkpoint}", highlight=False, soft_wrap=True)
 
     def result() -> dict[str, Any]:
         scenarios: dict[str, Entries] = {p: {} for p in planners}
@@ -93,9 +107,11 @@ def run(
         return _result(command, seed, not_loaded, scenarios, began)
 
     kept = began
-    with _progress(console, len(tasks)) as tell:
-        for i, outcome in outcomes(tasks, jobs=jobs, cluster=cluster):
+    with _progress(console, len(todo)) as tell:
+        for k, outcome in outcomes([tasks[i] for i in todo], jobs=jobs, cluster=cluster):
+            i = todo[k]
             found[i] = outcome
+            done.add(tasks[i].name, outcome)
             for planner, entry in outcome.items():
                 wrong = report.wrong(entry)
                 if wrong:
@@ -125,16 +141,22 @@ def _result(
     }
 
 
-def _in_sumo(tree: Tree, planners: list[str], km: float, seed: int, console: Console) -> dict[str, Entries]:
-    began = time.monotonic()
+def _in_sumo(
+    tree: Tree, planners: list[str], km: float, seed: int, jobs: int, done: Checkpoint, console: Console
+) -> dict[str, Entries]:
+    began, before = time.monotonic(), 0.0
 
-    def tell(name: str, driven: float) -> None:
-        left = (time.monotonic() - began) / driven * max(km - driven, 0.0) if driven > 0 else float("nan")
-        text = f"{driven:.2f}/{km:g} km, about {left:.0f} s left: {name}"
+    def tell(name: str, driven: float, new: bool) -> None:
+        nonlocal before
+        if not new:
+            before = driven
+            return
+        share = (time.monotonic() - began) / max(driven - before, 1e-3)
+        text = f"{driven:.2f}/{km:g} km, about {share * max(km - driven, 0.0):.0f} s left: {name}"
         console.print(text, highlight=False, markup=False)
 
     try:
-        return volume.measure(tree, planners, km, seed, tell)
+        return volume.measure(tree, planners, km, seed, tell, jobs=jobs, done=done)
     except TrafficError as e:
         raise ConfigError(str(e)) from None
 

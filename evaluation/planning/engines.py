@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import multiprocessing
 import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from typing import Any, TypeVar
 
 from common.config import ConfigError
 from evaluation.planning.tasks import Task, run
@@ -30,9 +32,13 @@ def outcomes(tasks: Sequence[Task], *, jobs: int = 1, cluster: str = "") -> Iter
             yield i, run(task)
 
 
-def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
+def _few_threads() -> None:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before a child imports NumPy
+
+
+def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
+    _few_threads()
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         waiting = {pool.submit(run, task): i for i, task in enumerate(tasks)}
         try:
@@ -40,6 +46,34 @@ def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
                 yield waiting[done], done.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+W = TypeVar("W")
+R = TypeVar("R")
+
+
+def in_order(piece: Callable[[int], tuple[W, R]], call: Callable[[W], R], jobs: int) -> Iterator[tuple[W, R, bool]]:
+    """Pieces of work 0, 1, 2 … without end, each with its result, in this order whatever `jobs` is.
+
+    `piece` gives the work of a number and its result where it is known already (empty: it is not); the last item says
+    whether it was computed now.
+    """
+    if jobs <= 1:
+        for k in itertools.count():
+            work, known = piece(k)
+            yield work, known or call(work), not known
+    _few_threads()
+    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
+    waiting: deque[tuple[W, R, Future[R] | None]] = deque()
+    try:
+        for k in itertools.count():
+            work, known = piece(k)
+            waiting.append((work, known, None if known else pool.submit(call, work)))
+            while waiting and (len(waiting) >= 2 * jobs or waiting[0][2] is None):
+                work, known, future = waiting.popleft()
+                yield work, known if future is None else future.result(), future is not None
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Outcome]:

@@ -95,7 +95,21 @@ def summary_table(result: dict[str, Any]) -> Table:
             f"{s['emergency_share']:.1%}", f"{s['safe_stop_share']:.1%}",
             f"{s['cycle_ms_p50']:.1f}/{s['cycle_ms_p99']:.1f}",
         )  # fmt: skip
+    if any(_enough(s) for s in result["summary"].values()):
+        out.caption = "\n".join(f"{planner}: {rate(s)}" for planner, s in result["summary"].items())
+        out.caption_justify = "left"
     return out
+
+
+def rate(s: dict[str, Any]) -> str:
+    """Collisions at fault over the kilometres driven, with the upper bound of their rate."""
+    bound = s["at_fault_per_1000_km_bound"]
+    found = f"{s['collisions_at_fault']} collisions at fault in {s['driven_km']:.1f} km"
+    return found if bound is None else f"{found}: at most {bound:.1f} per 1000 km (95 %)"
+
+
+def _enough(s: dict[str, Any]) -> bool:
+    return bool(s["driven_km"] >= ENOUGH_KM or s["efficiency_sumo"])
 
 
 def _percent(value: float | None) -> str:
@@ -184,7 +198,7 @@ def markdown(result: dict[str, Any]) -> str:
     """The summary as a table for a document, and every drive that went wrong, with why."""
     found = result["summary"].values()
     shown = [k for k in HEAD if any(s.get(k) not in (None, 0) for s in found) or k in PROMISED]
-    if not any(s["driven_km"] >= ENOUGH_KM or s["efficiency_sumo"] for s in found):
+    if not any(_enough(s) for s in found):
         shown = [k for k in shown if k != "at_fault_per_1000_km_bound"]
     lines = [f"`{result['command']}`", "", f"| planner | {' | '.join(HEAD[k] for k in shown)} |"]
     lines.append(f"|---{'|---:' * len(shown)}|")

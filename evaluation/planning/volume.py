@@ -6,6 +6,8 @@ by `moveToXY`. The networks are those given in `$FOREFIELD_DATA/maps/sumo` and g
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 import math
 import shutil
 import tempfile
@@ -21,7 +23,9 @@ from common.config import Tree
 from common.geometry import Polyline
 from common.messages import FRAME_S, Ego, Goal, Route
 from evaluation.generate_traffic import demand, given_networks
+from evaluation.planning.checkpoint import Checkpoint
 from evaluation.planning.drivers import driver
+from evaluation.planning.engines import in_order
 from evaluation.planning.loop import drive
 from evaluation.planning.measures import measured
 from evaluation.planning.recorder import Recorder
@@ -48,46 +52,83 @@ class Start:
     edges: list[str]
 
 
+@dataclass(frozen=True)
+class Piece:
+    """One vehicle to take over: a piece of work that can be sent to another process."""
+
+    name: str
+    network: Network
+    seed: int
+    tree: Tree
+    planners: tuple[str, ...]
+
+
 def measure(
-    tree: Tree, planners: list[str], km: float, seed: int, tell: Callable[[str, float], None]
+    tree: Tree,
+    planners: list[str],
+    km: float,
+    seed: int,
+    tell: Callable[[str, float, bool], None],
+    *,
+    jobs: int,
+    done: Checkpoint,
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Drive at least `km` kilometres with each planner; entries by planner and drive.
 
-    `tell` gets the drive's name and how many kilometres were driven so far by the planner who has the fewest.
+    Which drives count depends on the seed alone, not on `jobs`. `tell` gets the drive's name, how many kilometres were
+    driven so far by the planner who has the fewest, and whether that drive is new or stood in the checkpoint `done`.
 
     Raises:
         TrafficError: SUMO is missing or fails.
     """
-    try:
-        import libsumo
-    except ImportError:
-        raise TrafficError("--sumo needs Eclipse SUMO: pip install 'forefield[traffic]'") from None
+    if importlib.util.find_spec("libsumo") is None:
+        raise TrafficError("--sumo needs Eclipse SUMO: pip install 'forefield[traffic]'")
     found: dict[str, dict[str, dict[str, Any]]] = {p: {} for p in planners}
     folder = Path(tempfile.mkdtemp(prefix="forefield-sumo-"))
     try:
-        places = [(n, SumoRoads.read(n.path)) for n in networks(folder, given_networks(), seed)]
-        k = 0
-        while min(_km(found[p]) for p in planners) < km:
-            network, roads = places[k % len(places)]
-            name = f"{network.name}#{seed + k // len(places)}"
-            for planner, entry in _one(libsumo, network, roads, folder, seed + k, tree, planners).items():
-                found[planner][name] = entry
-            tell(name, min(_km(found[p]) for p in planners))
-            k += 1
-            if k >= 5 * len(places) and min(_km(found[p]) for p in planners) == 0.0:
+        places = networks(folder, given_networks(), seed)
+
+        def piece(k: int) -> tuple[Piece, dict[str, dict[str, Any]]]:
+            network = places[k % len(places)]
+            work = Piece(f"{network.name}#{seed + k // len(places)}", network, seed + k, tree, tuple(planners))
+            return work, done.of(work.name, planners)
+
+        for k, (work, entries, new) in enumerate(in_order(piece, run, jobs)):
+            for planner, entry in entries.items():
+                found[planner][work.name] = entry
+            if new:
+                done.add(work.name, entries)
+            driven = min(_km(found[p]) for p in planners)
+            tell(work.name, driven, new)
+            if driven >= km:
+                break
+            if k >= 5 * len(places) and driven == 0.0:
                 raise TrafficError("nobody drives anywhere in these networks")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    return found
+    return {p: {n: e for n, e in entries.items() if e} for p, entries in found.items()}
+
+
+@functools.cache
+def _roads(path: Path) -> SumoRoads:
+    return SumoRoads.read(path)
+
+
+def run(piece: Piece) -> dict[str, dict[str, Any]]:
+    """Drive it with every planner; an empty entry: nobody could be taken over there."""
+    import libsumo
+
+    with tempfile.TemporaryDirectory(prefix="forefield-sumo-") as folder:
+        entries = _one(libsumo, piece, _roads(piece.network.path), Path(folder))
+    return entries or {p: {} for p in piece.planners}
 
 
 def _km(entries: dict[str, dict[str, Any]]) -> float:
     return float(sum(e.get("distance_m", 0.0) for e in entries.values())) / 1000.0
 
 
-def _one(
-    sumo: Any, network: Network, roads: SumoRoads, folder: Path, seed: int, tree: Tree, planners: list[str]
-) -> dict[str, dict[str, Any]]:
+def _one(sumo: Any, piece: Piece, roads: SumoRoads, folder: Path) -> dict[str, dict[str, Any]]:
+    network, seed, tree, planners = piece.network, piece.seed, piece.tree, piece.planners
     with _running(sumo, network, folder, seed):
         start = _choose(sumo, roads, seed)
         if start is None:
