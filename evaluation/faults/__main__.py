@@ -58,16 +58,19 @@ def entry(number: int, run: Run, scale: Scale, seed: int, say: Say) -> Entry:
     return Entry(number, row, error, scale.mode, seed, commit(), now, round(took, 1), round(worst, 1))
 
 
+CODE = ("common", "services", "viz", "rig", "evaluation")
+
+
 def commit() -> str:
-    """The commit of this checkout, `+` if there are changes; empty outside of one."""
+    """The commit of this checkout, `+` if its code was changed since; empty outside of one."""
     try:
-        text = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+", "--exclude", "*"],
-            cwd=ROOT, capture_output=True, text=True, check=True,
-        ).stdout  # fmt: skip
+        name = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout.strip()
+        changed = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", *CODE], cwd=ROOT, check=False).returncode
     except (OSError, subprocess.CalledProcessError):
         return ""
-    return text.strip()
+    return f"{name}+" if changed else name
 
 
 def main(arguments: list[str] | None = None) -> int:
