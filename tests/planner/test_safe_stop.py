@@ -57,6 +57,9 @@ def test_ages_are_allowed_up_to_their_limit_and_told_in_milliseconds() -> None:
     assert words(ego=250, risk=400, max_ego_age=0.3) == "the risk is 400 ms old, at most 300 ms"
     assert words(ego=60, max_ego_age=0.05) == "the ego state is 60 ms old, at most 50 ms"
     assert words(ego=0, risk=0, max_ego_age=1e-9, max_risk_age=1e-9) == ""
+    assert words(ego=250, risk=250, max_ego_age=0.25, max_risk_age=0.25) == ""  # the limit itself is allowed
+    assert words(ego=5000, max_ego_age=2.0) == "the ego state is 5000 ms old, at most 2000 ms"
+    assert words(risk=5000, max_risk_age=2.0) == "the risk is 5000 ms old, at most 2000 ms"
 
 
 def test_waiting_is_nothing_but_words() -> None:
@@ -89,6 +92,8 @@ def test_it_is_one_braking_cut_at_valid_for() -> None:
     assert plan.profile is not None and plan.tail is not None
     assert plan.profile.t[-1] == plan.tail.t[0] == pytest.approx(0.3)
     assert np.all(np.diff(whole(plan, "t")) > 0.0)
+    for name in ("x", "speed", "acceleration"):
+        assert getattr(plan.tail, name)[0] == getattr(plan.profile, name)[-1]
     brake = brake_motion(0.0, 0.0, 10.0, 0.0, SETTINGS.safe_stop_brake, 4.0 * SETTINGS.safe_stop_brake)
     assert whole(plan, "speed") == pytest.approx(np.interp(whole(plan, "t"), brake.t, brake.speed), abs=1e-9)
     assert whole(plan, "acceleration") == pytest.approx(
@@ -161,6 +166,15 @@ def test_one_that_just_outlasts_valid_for_is_cut_there_and_one_that_just_does_no
             moving += 1
             assert plan.tail.speed[0] > 0.0 and plan.tail.t[-1] == pytest.approx(end)
     assert still and moving
+
+
+def test_the_profile_is_as_long_as_the_settings_have_it() -> None:
+    longer = msgspec.structs.replace(SETTINGS, valid_for=0.5)
+    plan, memory = safe_stop(
+        "lost", Start(0.0, 0.0, 0.0, 0.0, 10.0, 0.0), None, 0.0, ego_at(1.35, 0.0, 0.0, 10.0), None, longer
+    )
+    assert plan.valid_for == 0.5 and plan.profile is not None and plan.tail is not None and memory is not None
+    assert plan.profile.t[-1] == plan.tail.t[0] == 0.5 == memory.valid_for
 
 
 def volume(at: float) -> Volume:
