@@ -21,6 +21,7 @@ from pathlib import Path
 from rich.console import Console
 
 import evaluation.faults as package
+from evaluation.faults.process import Others
 from evaluation.faults.result import FaultError, Row, Say, Scale
 from evaluation.faults.table import Entry, from_json, into, markdown, merged, terminal, to_json
 from evaluation.faults.timer import timer
@@ -42,7 +43,7 @@ def rows() -> dict[int, Run]:
 
 def entry(number: int, run: Run, scale: Scale, seed: int, say: Say) -> Entry:
     """Run one row beside a bare timer; never raises for what goes wrong inside it."""
-    begin = time.monotonic()
+    begin, others = time.monotonic(), Others()
     row, error = None, ""
     with timer() as beside:
         try:
@@ -54,8 +55,9 @@ def entry(number: int, run: Run, scale: Scale, seed: int, say: Say) -> Entry:
             traceback.print_exc()
         took = time.monotonic() - begin
         worst = beside.worst_ms()
+    share = others.share()
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    return Entry(number, row, error, scale.mode, seed, commit(), now, round(took, 1), round(worst, 1))
+    return Entry(number, row, error, scale.mode, seed, commit(), now, round(took, 1), round(worst, 1), round(share, 3))
 
 
 CODE = ("common", "services", "viz", "rig", "evaluation")
@@ -118,7 +120,9 @@ def main(arguments: list[str] | None = None) -> int:
                 done.append(entry(number, known[number], scale, options.seed, say))
                 last = done[-1]
                 why = last.error or (last.row.why if last.row else "")
-                say(f"{last.verdict} in {last.took_s:.0f} s, timer {last.timer_ms:.0f} ms {why}")
+                say(
+                    f"{last.verdict} in {last.took_s:.0f} s, timer {last.timer_ms:.0f} ms, others {last.others:.0%} {why}"
+                )
                 _keep(options, merged(before, done))
         except StopRequest:
             stopped = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -54,6 +55,25 @@ def cpu_times() -> tuple[float, float]:
     tick = os.sysconf("SC_CLK_TCK")
     idle = fields[3] + fields[4]
     return (sum(fields) - idle) / tick, idle / tick
+
+
+class Others:
+    """How much of the cores processes that are not ours use, from its making on; ours are counted once they ended."""
+
+    def __init__(self) -> None:
+        self._begin = (*cpu_times(), _ours_s())
+
+    def share(self) -> float:
+        """Of all cores, 0 to 1."""
+        (worked, idle), ours = cpu_times(), _ours_s()
+        worked_0, idle_0, ours_0 = self._begin
+        return max(worked - worked_0 - (ours - ours_0), 0.0) / max(worked - worked_0 + idle - idle_0, 1e-9)
+
+
+def _ours_s() -> float:
+    return sum(
+        u.ru_utime + u.ru_stime for u in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    )
 
 
 def cpu_s(pid: int) -> float:

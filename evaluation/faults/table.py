@@ -30,6 +30,8 @@ class Entry:
     took_s: float
     timer_ms: float
     """Worst gap of a bare 20 Hz timer beside it [ms]."""
+    others: float
+    """Share of the cores that processes which are not ours used meanwhile."""
 
     @property
     def good(self) -> bool:
@@ -63,13 +65,14 @@ def figures(entry: Entry) -> list[str]:
 def terminal(entries: list[Entry]) -> Table:
     """The table for a terminal."""
     out = Table(title="Faults", title_justify="left", show_lines=True)
-    for name in ("#", "fault", "to reach", "figures", "proof", "", "timer ms", "s"):
-        out.add_column(name, overflow="fold", justify="right" if name in ("#", "timer ms", "s") else "left")
+    for name in ("#", "fault", "to reach", "figures", "proof", "", "timer ms", "others", "s"):
+        out.add_column(name, overflow="fold", justify="right" if name in ("#", "timer ms", "others", "s") else "left")
     for e in entries:
         fault, target, proof, why = (e.row.fault, e.row.target, e.row.proof, e.row.why) if e.row else ("", "", "", "")
         verdict = f"[{'green' if e.good else 'red'}]{e.verdict}[/]{': ' + why if why else ''}"
         out.add_row(
-            str(e.number), fault, target, "\n".join(figures(e)), proof, verdict, f"{e.timer_ms:.0f}", f"{e.took_s:.0f}"
+            str(e.number), fault, target, "\n".join(figures(e)), proof, verdict, f"{e.timer_ms:.0f}", f"{e.others:.0%}",
+            f"{e.took_s:.0f}",
         )  # fmt: skip
     return out
 
@@ -77,13 +80,21 @@ def terminal(entries: list[Entry]) -> Table:
 def markdown(entries: list[Entry]) -> str:
     """The table for the documents, and how it was made."""
     lines = [
-        "| # | fault | to reach | measured | proof that it happened | reached | timer |",
+        "| # | fault | to reach | measured | proof that it happened | reached | timer; others |",
         "|---|---|---|---|---|---|---|",
     ]
     for e in entries:
         fault, target, proof = (e.row.fault, e.row.target, e.row.proof) if e.row else ("", "", "")
         reached = ("**yes**" if e.good else f"**no**: {e.row.why}") if e.row else "**error**"
-        cells = (str(e.number), fault, target, "; ".join(figures(e)), proof, reached, f"{e.timer_ms:.0f} ms")
+        cells = (
+            str(e.number),
+            fault,
+            target,
+            "; ".join(figures(e)),
+            proof,
+            reached,
+            f"{e.timer_ms:.0f} ms; {e.others:.0%}",
+        )
         lines.append("| " + " | ".join(_cell(c) for c in cells) + " |")
     runs: dict[tuple[str, str, str], list[int]] = {}
     for e in entries:

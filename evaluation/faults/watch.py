@@ -85,8 +85,14 @@ class Watch:
 
     def heard(self, topic: str = "plan", since_ns: int = 0, until_ns: int = 2**62) -> list[Heard]:
         """Messages of a topic that arrived in a span of time, in order."""
+        found = []
         with self._lock:
-            return [h for h in self._heard[topic] if since_ns <= h.arrived_ns <= until_ns]
+            for h in reversed(self._heard[topic]):  # what is asked for is mostly new
+                if h.arrived_ns < since_ns:
+                    break
+                if h.arrived_ns <= until_ns:
+                    found.append(h)
+        return found[::-1]
 
     def last(self, topic: str = "plan") -> Heard | None:
         """The newest of a topic."""

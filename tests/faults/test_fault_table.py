@@ -16,7 +16,7 @@ def entry(number: int, reached: bool = True, mode: str = "faults", error: str = 
     row = Row(
         number, "f|ault", "target", {"gap p99.9 [ms]": 61.23, "missed": 0}, "5 of 5", reached, "" if reached else "x"
     )
-    return Entry(number, None if error else row, error, mode, 7, "abc", "2026-01-02T03:04:05", 1.5, 52.0)
+    return Entry(number, None if error else row, error, mode, 7, "abc", "2026-01-02T03:04:05", 1.5, 52.0, 0.01)
 
 
 def test_a_row_without_proof_is_an_error() -> None:
