@@ -120,9 +120,8 @@ def main(arguments: list[str] | None = None) -> int:
                 done.append(entry(number, known[number], scale, options.seed, say))
                 last = done[-1]
                 why = last.error or (last.row.why if last.row else "")
-                say(
-                    f"{last.verdict} in {last.took_s:.0f} s, timer {last.timer_ms:.0f} ms, others {last.others:.0%} {why}"
-                )
+                machine = f"timer {last.timer_ms:.0f} ms, others {last.others:.0%}"
+                say(f"{last.verdict} in {last.took_s:.0f} s, {machine} {why}")
                 _keep(options, merged(before, done))
         except StopRequest:
             stopped = True

@@ -195,6 +195,7 @@ def stack(
     others: tuple[Topic, ...] = (),
     drive: bool = True,
     upstream: str = "",
+    steady_s: float = 1.0,
 ) -> Iterator[Stack]:
     """A router, some services, a vehicle and a listener.
 
@@ -207,6 +208,7 @@ def stack(
         others: topics whose headers the listener reads too (a risk volume is 3 MB: only where it is wanted).
         drive: wait until everything runs and the vehicle drives.
         upstream: endpoint of another router that this one joins.
+        steady_s: so long it must have driven without a stop before it counts as driving [s].
 
     Raises:
         FaultError: it did not come up.
@@ -242,7 +244,7 @@ def stack(
         if drive:
             for name in names:
                 made.wait_up(name)
-            made.settle()
+            made.settle(steady_s, UP_S)
         yield made
 
 

@@ -33,7 +33,7 @@ OLD_S = 1.0
 
 @pytest.fixture(scope="module")
 def running() -> Iterator[Stack]:
-    with stack(road_users=12) as s:
+    with stack(road_users=12, steady_s=0.3) as s:
         yield s
 
 
@@ -89,7 +89,7 @@ def test_row_3_while_the_planner_hangs_nothing_but_its_tail_is_driven(running: S
 
 
 def test_row_4_a_router_that_comes_back_is_found_again_and_the_tail_was_driven_meanwhile(running: Stack) -> None:
-    running.settle(0.5)
+    running.settle(0.3, 120.0)
     _, alone = router_restarted(running)
     assert alone and all(t.part in ("tail", "over") for t in alone)
     assert set(running.lives) == {*SERVICES, "router"}

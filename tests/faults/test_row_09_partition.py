@@ -22,7 +22,7 @@ def test_a_cut_between_two_hosts_is_a_safe_stop_and_the_healed_link_drives_again
             s.start("edge", "--listen", cable.endpoint, within=cable.within)
             for service in ("predictor", "riskfield"):
                 s.start(service, within=cable.within, settings={"bus.connect": [cable.endpoint]})
-            s.settle(0.5)
+            s.settle(0.3, 120.0)
             back = cut(s, cable, 1.0)
             assert back.stop_ms > 0 and back.out_s >= 1.0
             s.check()
