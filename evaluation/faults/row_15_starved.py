@@ -43,6 +43,10 @@ class Starved:
     busy: float
     eaten_s: float
     late_said: int
+    refused: int
+    """Plans that the vehicle refused as `stale`."""
+    unsent: int
+    """Plans that the planner did not send because they were too late."""
 
 
 def run(scale: Scale, seed: int, say: Say) -> Row:
@@ -68,6 +72,8 @@ def run(scale: Scale, seed: int, say: Say) -> Row:
         "statuses that said so": sum(t.late_said for t in times),
         "plans to stop": sum(t.stops for t in times),
         "late plans accepted": len(late),
+        "late plans refused by the vehicle": sum(t.refused for t in times),
+        "not sent, too late": sum(t.unsent for t in times),
         "plan gap p50 [ms]": float(np.percentile(gaps, 50)),
         "plan gap max [ms]": float(gaps.max()),
         "drives again, worst [s]": max(backs),
@@ -88,6 +94,7 @@ def starved(s: Stack, load: int, seconds: float) -> Starved:
     Raises:
         FaultError: the cores were not busy all the time.
     """
+    before = _late(s)
     with busy(load) as pids:
         begin, (worked, idle) = time.monotonic_ns(), cpu_times()
         eaten = sum(map(cpu_s, pids))
@@ -110,10 +117,18 @@ def starved(s: Stack, load: int, seconds: float) -> Starved:
     declared = 0.0
     if lags:
         declared = float("inf") if first is None else max(first - lags[0].arrived_ns, 0) * NS_TO_S
+    refused, unsent = (b - a for a, b in zip(before, _late(s), strict=True))
     return Starved(
         len(lags), declared, accepted_late(s, begin, now), len(stops), list(s.watch.gaps_ms(begin, now)), share, eaten,
-        len(said),
+        len(said), refused, unsent,
     )  # fmt: skip
+
+
+def _late(s: Stack) -> tuple[int, int]:
+    """Plans refused as stale by the vehicle, and not sent by the planner, so far."""
+    heard = s.watch.status("planner")
+    counters = heard.status.counters if heard is not None and heard.status is not None else {}
+    return s.bus.counters.get("plan:stale", 0), counters.get("plan:not_sent_too_late", 0)
 
 
 def accepted_late(s: Stack, since_ns: int, until_ns: int) -> list[float]:
