@@ -60,7 +60,7 @@ def run(scale: Scale, seed: int, say: Say) -> Row:
             s.wait_up(service)
         s.vehicle.put_map()
         s.vehicle.put_route()
-        s.settle()
+        s.wait_drive()
         for name, harm in HARMS.items():
             before, since = between.counts.copy(), time.monotonic_ns()
             between.harm = harm
@@ -71,7 +71,7 @@ def run(scale: Scale, seed: int, say: Say) -> Row:
             figures[f"plans that drive, {name} [%]"] = 100.0 * share
             say(f"{name}: {dict(between.counts - before)}, drives {100 * share:.0f} %")
         between.harm = Harm()
-        s.settle(within_s=20.0)
+        s.wait_drive()
         counts = between.counts
         back = sum(_backwards(sent[service]) for service in SERVICES)
         taken_back = _vehicle_backwards(s)
