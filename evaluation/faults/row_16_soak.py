@@ -20,7 +20,7 @@ GROWTH_MIB = 2.0
 
 def run(scale: Scale, seed: int, say: Say) -> Row:
     """Drive, and look at every process once a second."""
-    warm, seconds = scale.seconds(15.0, 120.0, 3.0), scale.seconds(60.0, 3600.0, 5.0)
+    warm, seconds = scale.seconds(10.0, 120.0, 3.0), scale.seconds(60.0, 3600.0, 5.0)
     names = (*SERVICES, "router")
     samples: dict[str, list[Sample]] = {name: [] for name in names}
     with stack(seed=seed) as s:
