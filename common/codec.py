@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import msgpack
@@ -63,8 +64,8 @@ def encode_body(topic: Topic, message: Message) -> tuple[bytes, dict[str, Any] |
     """Pack a body; returns the payload and, for `risk`, the fields that belong into the header.
 
     Raises:
-        RefusedError: the message breaks the contract of its own type (`shape`, `dtype`, `non_finite`, `range`,
-            `content`, `too_large`).
+        RefusedError: the message breaks the contract of its own type (`type`, `shape`, `dtype`, `non_finite`,
+            `range`, `content`, `too_large`).
     """
     check(message)
     if isinstance(message, Risk):
@@ -110,24 +111,34 @@ def decode_body(topic: Topic, header: Header, payload: bytes) -> Message:
     if len(payload) > topic.max_bytes:
         raise RefusedError("too_large", f"{len(payload)} bytes, at most {topic.max_bytes}")
     fields = _risk_fields(header, payload) if topic.message is Risk else _unpack(payload, "malformed")
+    message = cast(Message, _converted(fields, topic.message, _read_array))
+    _check_content(message)
+    return message
+
+
+def check(message: Message) -> None:
+    """Check a message of our own: each field's type and range, each array against its `Array`, then the whole.
+
+    Raises:
+        RefusedError: `type`, `dtype`, `shape`, `non_finite`, `range`, `content`; the detail names the field.
+    """
+    _check_content(message)
+    plain = msgspec.to_builtins(message, enc_hook=_leave_out_array)
+    _converted(plain, type(message), lambda *_: _LEFT_OUT)
+
+
+def _converted(fields: Any, kind: type, arrays: Callable[[type, Any], Any]) -> Any:
     try:
-        message = cast(Message, msgspec.convert(fields, topic.message, dec_hook=_read_array))
+        return msgspec.convert(fields, kind, dec_hook=arrays)
     except (msgspec.ValidationError, OverflowError) as e:
         inner, text = e.__cause__, str(e)
         if isinstance(inner, _ArrayError):
             raise RefusedError(inner.reason, text) from None
         beyond = any(sign in text for sign in ("<=", ">=", "` >", "` <"))
         raise RefusedError("range" if beyond else "type", text) from None
-    check(message)
-    return message
 
 
-def check(message: Message) -> None:
-    """Check every array of a message against its `Array` and then the message as a whole.
-
-    Raises:
-        RefusedError: `dtype`, `shape`, `non_finite`, `range`, `content`; the detail names the field.
-    """
+def _check_content(message: Message) -> None:
     _check_struct(message, type(message).__name__.lower())
     problem = message.problem()
     if problem:
@@ -148,6 +159,13 @@ def _pack_array(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"cannot send a {type(value).__name__}")
+
+
+_LEFT_OUT = np.zeros(0)
+
+
+def _leave_out_array(value: Any) -> Any:
+    return {} if isinstance(value, np.ndarray) else _pack_array(value)
 
 
 def _describe_array(value: Any) -> Any:

@@ -262,3 +262,25 @@ def test_an_array_without_bytes_may_not_claim_millions_of_rows() -> None:
         with pytest.raises(RefusedError) as caught:
             codec.decode_body(topic, codec.decode_header(topic, attachment), msgpack.packb(fields))
         assert caught.value.reason == reason
+
+
+@pytest.mark.parametrize(
+    "field", ["x", "y", "heading", "vx", "vy", "acceleration", "yaw_rate", "length", "width", "wheelbase"]
+)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e9, "fast"])
+def test_no_number_leaves_that_would_not_be_let_in(field: str, value: object) -> None:
+    broken = samples.ego(**{field: value})
+    with pytest.raises(codec.RefusedError, match=r"range|type") as sent:
+        codec.encode_body(topics.EGO, broken)
+    payload = msgpack.packb(msgspec.to_builtins(broken))
+    with pytest.raises(codec.RefusedError) as arrived:
+        codec.decode_body(topics.EGO, header(topics.EGO), payload)
+    assert sent.value.reason == arrived.value.reason
+
+
+@pytest.mark.parametrize(
+    "changes", [{"reason": "x" * 1001}, {"valid_for": -0.1}, {"desired_speed": np.nan}, {"mode": "fly"}]
+)
+def test_no_plan_leaves_that_its_vehicle_would_refuse(changes: dict[str, Any]) -> None:
+    with pytest.raises(codec.RefusedError):
+        codec.check(samples.plan(**changes))
