@@ -24,6 +24,8 @@ WORK_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07
 """Upper ends of the buckets in which the work of all messages is counted [s]."""
 DEADLINE = "deadline:missed"
 """Counter of results that came later than a period after they were due."""
+DETAIL_LENGTH = 1000
+"""Characters of each detail that a status tells: the words of an exception have no end."""
 STALL_S = 2.5
 """A loop that has not turned for this long gets no heartbeat [s]."""
 
@@ -178,5 +180,5 @@ class Health:
                 inputs=inputs,
                 counters=dict(self.counters),
                 work_ms={"p50": float(p50), "p95": float(p95), "p99": float(p99), "max": float(top)},
-                detail=dict(self.detail),
+                detail={name: text[:DETAIL_LENGTH] for name, text in dict(self.detail).items()},
             )

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from common import codec, topics
 from common import messages as m
 from common.codec import RefusedError
+from common.health import Health
 from tests import samples
 
 
@@ -284,3 +285,11 @@ def test_no_number_leaves_that_would_not_be_let_in(field: str, value: object) ->
 def test_no_plan_leaves_that_its_vehicle_would_refuse(changes: dict[str, Any]) -> None:
     with pytest.raises(codec.RefusedError):
         codec.check(samples.plan(**changes))
+
+
+def test_a_status_is_sent_however_long_the_words_of_an_exception_are() -> None:
+    health = Health("planner", lambda: 0)
+    health.detail["last_error"] = "x" * 1_000_000
+    health.say("degraded", "y" * 1_000_000)
+    payload, _ = codec.encode_body(topics.STATUS_OF["planner"], health.status())
+    assert len(payload) < 4096
