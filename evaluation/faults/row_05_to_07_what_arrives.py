@@ -423,10 +423,13 @@ def besieged(seed: int, say: Say, heard: tuple[Topic, ...] = HEARD) -> Iterator[
         if raw.attachment is not None and len(samples[raw.topic.suffix]) < 6:
             samples[raw.topic.suffix].append((raw.attachment, raw.payload))
 
-    with stack(seed=seed) as s:
+    with stack(seed=seed, road_users=8, drive=False) as s:
         for topic in ALL:
             s.bus.tap(topic, keep)
-        until(lambda: all(len(samples[t.suffix]) >= 2 for t in ALL if t.rate_hz is not None), 20.0, "samples to damage")
+        for service in SERVICES:
+            s.wait_up(service)
+        s.wait_drive()
+        until(lambda: all(len(samples[t.suffix]) >= 2 for t in ALL if t.rate_hz is not None), 60.0, "samples to damage")
         s.vehicle.ego_too = s.vehicle.objects_too = False
         s.watch.mode("safe_stop", time.monotonic_ns(), 10.0)  # the silence was heard
         time.sleep(1.0)
