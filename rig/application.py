@@ -35,6 +35,7 @@ from rig import (
     session,
 )
 from rig.exits import exits, say, writable, write
+from rig.options import Config, Json, Sets
 from rig.screen import progress
 from rig.settings import RigSettings
 from rig.sources import builtin_scenarios, load_scenario, recorded_scenarios
@@ -57,16 +58,10 @@ planner_commands.register(bench)
 certificate_commands.register(app)
 recording_commands.register(app)
 
-Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
-Sets = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="One setting, such as planner.max_speed=15; may be repeated.", metavar="KEY=VALUE"),
-]
 Device = Annotated[
     str | None,
     typer.Option("--device", help="Where risk is computed; default: as configured (auto).", metavar="auto|cpu|cuda"),
 ]
-Json = Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")]
 Record = Annotated[Path | None, typer.Option("--record", help="Record the drive for Rerun.", metavar="OUT.rrd")]
 RecordBus = Annotated[
     Path | None, typer.Option("--record-bus", help="Record every message, for `replay`.", metavar="OUT.mcap")

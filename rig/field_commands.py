@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -10,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rig.exits import exits, writable, write
+from rig.options import Json
 
 
 def register(bench: typer.Typer) -> None:
@@ -21,7 +21,7 @@ def bench_riskfield(
     frames: Annotated[
         str, typer.Option("--frames", help="Which frames, of standard, dense, fine.", metavar="NAME,...")
     ] = "standard,dense,fine",
-    json_: Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")] = None,
+    json_: Json = None,
     rounds: Annotated[int, typer.Option("--rounds", help="Runs of each slow rival.", min=1)] = 5,
     scaling: Annotated[
         bool, typer.Option("--scaling/--no-scaling", help="Measure time against road users and area too.")

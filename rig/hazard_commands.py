@@ -15,19 +15,12 @@ from common import config
 from common.config import ConfigError
 from rig import configuration
 from rig.exits import exits, writable, write
-
-Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
-Sets = Annotated[list[str] | None, typer.Option("--set", help="One setting; may be repeated.", metavar="KEY=VALUE")]
-Json = Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")]
+from rig.options import Config, Json, Sets, evaluations
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands to the program; `eval` is shared with other measurements."""
-    group = next((g.typer_instance for g in app.registered_groups if g.name == "eval"), None)
-    if group is None:
-        group = typer.Typer(help="Measurements.", no_args_is_help=True)
-        app.add_typer(group, name="eval")
-    group.command("hazards")(eval_hazards)
+    """Add the commands to the program."""
+    evaluations(app).command("hazards")(eval_hazards)
     app.command("figures")(figures)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -10,6 +9,7 @@ from rich.console import Console
 
 from rig import configuration
 from rig.exits import exits, writable, write
+from rig.options import Config, Json, Sets
 
 
 def register(bench: typer.Typer) -> None:
@@ -18,14 +18,12 @@ def register(bench: typer.Typer) -> None:
 
 
 def bench_planner(
-    json_: Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")] = None,
+    json_: Json = None,
     objects: Annotated[int, typer.Option("--objects", help="Road users in the scene.", min=0, max=1024)] = 32,
     rounds: Annotated[int, typer.Option("--rounds", help="Runs of each rival.", min=3)] = 60,
     cycles: Annotated[int, typer.Option("--cycles", help="Whole cycles to measure.", min=10)] = 200,
-    config_: Annotated[Path | None, typer.Option("--config", help="Configuration (TOML).", metavar="FILE")] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="One setting; may be repeated.", metavar="KEY=VALUE")
-    ] = None,
+    config_: Config = None,
+    set_: Sets = None,
 ) -> None:
     """How fast is the planner? 256 candidates beside a NumPy gather and frenetix if installed, and the whole cycle."""
     from evaluation import bench_planner as measuring

@@ -13,21 +13,15 @@ from rich.console import Console
 from common.config import ConfigError
 from rig import configuration
 from rig.exits import exits, writable, write
+from rig.options import Config, Json, Sets, evaluations
 
-Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
-Sets = Annotated[list[str] | None, typer.Option("--set", help="One setting; may be repeated.", metavar="KEY=VALUE")]
-Json = Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")]
 WIDTH = 170
 """Narrower tables would cut the figures off."""
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command to the program; `eval` is shared with other measurements."""
-    group = next((g.typer_instance for g in app.registered_groups if g.name == "eval"), None)
-    if group is None:
-        group = typer.Typer(help="Measurements.", no_args_is_help=True)
-        app.add_typer(group, name="eval")
-    group.command("planning")(eval_planning)
+    """Add the command to the program."""
+    evaluations(app).command("planning")(eval_planning)
 
 
 def eval_planning(

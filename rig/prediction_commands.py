@@ -21,6 +21,7 @@ from common.config import ConfigError
 from common.risk import RiskParameters
 from rig import configuration
 from rig.exits import exits, say, writable, write
+from rig.options import Config, Json, Sets, evaluations
 from rig.settings import RigSettings
 from rig.working import working
 from services.predictor.settings import Policy, PredictorSettings
@@ -30,7 +31,6 @@ Tracks = Annotated[
     list[str] | None,
     typer.Option("--tracks", help="Trajectory tables (csv or csv.gz).", metavar="FILES …", show_default=False),
 ]
-Json = Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")]
 Stride = Annotated[int, typer.Option("--stride", help="Frames between windows.", min=1, max=100)]
 Seed = Annotated[int, typer.Option("--seed", min=0)]
 Steps = Annotated[int, typer.Option("--steps", help="Steps of training.", min=1)]
@@ -39,8 +39,6 @@ HoldOut = Annotated[
     list[str] | None,
     typer.Option("--hold-out", help="Site (file name) that is not trained on; may be repeated.", metavar="SITE"),
 ]
-Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
-Sets = Annotated[list[str] | None, typer.Option("--set", help="One setting; may be repeated.", metavar="KEY=VALUE")]
 TorchDevice = Annotated[str, typer.Option("--device", help="Where to train.", metavar="cpu|cuda")]
 WIDTH = 118
 """Narrower tables would cut the figures off."""
@@ -56,13 +54,12 @@ def register(app: typer.Typer, bench: typer.Typer) -> None:
     """Add the commands to the program and its benchmarks."""
     train = typer.Typer(help="Training.", no_args_is_help=True)
     train.command("predictor")(train_predictor)
-    evaluation = typer.Typer(help="Measurements against recorded traffic.", no_args_is_help=True)
+    evaluation = evaluations(app)
     evaluation.command("prediction")(eval_prediction)
     evaluation.command("ablation")(eval_ablation)
     generate = typer.Typer(help="Generated data.", no_args_is_help=True)
     generate.command("traffic")(generate_traffic)
     app.add_typer(train, name="train")
-    app.add_typer(evaluation, name="eval")
     app.add_typer(generate, name="generate")
     bench.command("predictor")(bench_predictor)
 

@@ -24,12 +24,11 @@ from common.topics import MIB, TOPICS, Topic
 from rig import configuration, viewing
 from rig.exits import exits, say, writable
 from rig.launcher import LaunchError
+from rig.options import Config, Sets
 
 if TYPE_CHECKING:
     from rig.bus_log.reader import BusLog
 
-Config = Annotated[Path | None, typer.Option("--config", help="Configuration file (TOML).", metavar="FILE")]
-Sets = Annotated[list[str] | None, typer.Option("--set", help="One setting; may be repeated.", metavar="KEY=VALUE")]
 Connect = Annotated[
     str, typer.Option("--connect", help="The router, such as tcp/127.0.0.1:7447; default: bus.connect.")
 ]

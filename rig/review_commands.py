@@ -15,9 +15,9 @@ from rich.markup import escape
 
 from common.config import ConfigError
 from rig.exits import exits, say, writable, write
+from rig.options import Json
 
 NEEDS = ("rerun", "matplotlib", "jinja2")
-Json = Annotated[Path | None, typer.Option("--json", help="Write the result there.", metavar="OUT.json")]
 
 
 def register(app: typer.Typer) -> None:
