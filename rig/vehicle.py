@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -28,6 +29,22 @@ from common.messages import F64, Ego, Plan, Stamped
 from rig.settings import RigSettings
 
 STANDING = 0.05  # m/s, m/s²; slower than this and asked for no more, the brake holds
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A polyline of k points, ready to be projected on."""
+
+    x: F64  # where its segments begin [k - 1], as what does not say otherwise [m]
+    y: F64
+    tx: F64  # its direction
+    ty: F64
+    s: F64  # arc length of the points [k] [m]
+    step: F64  # length [m]
+    low: F64  # bounds of the arc length on it: the first and the last go on straight [m]
+    high: F64
+    heading: F64  # [k] [rad]
+    curvature: F64  # [k] [1/m]
 
 
 @dataclass(frozen=True)
@@ -69,14 +86,28 @@ class Wanted:
         """Arc length, speed and acceleration wanted at plan time `tau`; beyond the last row: standing there."""
         if tau > self.t[-1]:
             return float(self.s[-1]), 0.0, 0.0
-        i = int(np.clip(np.searchsorted(self.t, tau, side="right") - 1, 0, max(len(self.t) - 2, 0)))
+        i = min(max(int(np.searchsorted(self.t, tau, side="right")) - 1, 0), max(len(self.t) - 2, 0))
         if len(self.t) == 1:
             return float(self.s[0]), float(self.speed[0]), float(self.acceleration[0])
-        span = self.t[i + 1] - self.t[i]
-        w = float(np.clip((tau - self.t[i]) / span, 0.0, 1.0))
-        speed = float(self.speed[i] + w * (self.speed[i + 1] - self.speed[i]))
-        a = float(self.acceleration[i] + w * (self.acceleration[i + 1] - self.acceleration[i]))
-        return float(self.s[i] + w * (self.s[i + 1] - self.s[i])), speed, a
+        t0, t1 = self.t.item(i), self.t.item(i + 1)
+        w = min(max((tau - t0) / (t1 - t0), 0.0), 1.0)
+
+        def between(a: F64) -> float:
+            low: float = a.item(i)
+            return low + w * (float(a.item(i + 1)) - low)
+
+        return between(self.s), between(self.speed), between(self.acceleration)
+
+    @cached_property
+    def _line(self) -> _Line:
+        """The rows without those where it stands."""
+        keep = np.concatenate(([True], np.diff(self.s) > 1e-6))
+        px, py, s = self.x[keep], self.y[keep], self.s[keep]
+        step = np.diff(s)
+        low, high = np.zeros(len(step)), step.copy()
+        low[0], high[-1] = -np.inf, np.inf
+        tx, ty = np.diff(px) / step, np.diff(py) / step
+        return _Line(px[:-1], py[:-1], tx, ty, s, step, low, high, self.heading[keep], self.curvature[keep])
 
     def nearest(self, x: float, y: float) -> tuple[float, float, float, float]:
         """Arc length, lateral offset (left > 0), heading, curvature at the nearest point; straight beyond the ends."""
@@ -84,23 +115,23 @@ class Wanted:
             c, n = math.cos(self.heading[0]), math.sin(self.heading[0])
             dx, dy = x - self.x[0], y - self.y[0]
             return c * dx + n * dy, c * dy - n * dx, float(self.heading[0]), float(self.curvature[0])
-        keep = np.concatenate(([True], np.diff(self.s) > 1e-6))
-        px, py, s = self.x[keep], self.y[keep], self.s[keep]
-        psi, kappa = self.heading[keep], self.curvature[keep]
-        step = np.diff(s)
-        tx, ty = np.diff(px) / step, np.diff(py) / step
-        along = (x - px[:-1]) * tx + (y - py[:-1]) * ty
-        low, high = np.zeros(len(step)), step.copy()
-        low[0], high[-1] = -np.inf, np.inf
-        u = np.clip(along, low, high)
-        dx, dy = x - (px[:-1] + u * tx), y - (py[:-1] + u * ty)
+        line = self._line
+        rx, ry = x - line.x, y - line.y
+        u = np.minimum(np.maximum(rx * line.tx + ry * line.ty, line.low), line.high)
+        dx, dy = rx - u * line.tx, ry - u * line.ty
         i = int(np.argmin(dx * dx + dy * dy))
-        w = float(np.clip(u[i] / step[i], 0.0, 1.0))
+        along: float = u.item(i)
+        w = min(max(along / line.step.item(i), 0.0), 1.0)
+
+        def between(a: F64) -> float:
+            low: float = a.item(i)
+            return low + w * (float(a.item(i + 1)) - low)
+
         return (
-            float(s[i] + u[i]),
-            float(tx[i] * dy[i] - ty[i] * dx[i]),
-            float(psi[i] + w * (psi[i + 1] - psi[i])),
-            float(kappa[i] + w * (kappa[i + 1] - kappa[i])),
+            line.s.item(i) + along,
+            line.tx.item(i) * dy.item(i) - line.ty.item(i) * dx.item(i),
+            between(line.heading),
+            between(line.curvature),
         )
 
 
