@@ -136,8 +136,8 @@ class Planner:
             ):
                 # never far off what the vehicle does: a plan that runs ahead of it would be caught up with by a jolt
                 off_v, off_a = settings.lead_speed, settings.lead_accel
-                speed = float(np.clip(planned.speed, max(own.speed - off_v, 0.0), own.speed + off_v))
-                accel = float(np.clip(planned.acceleration, own.acceleration - off_a, own.acceleration + off_a))
+                speed = min(max(planned.speed, own.speed - off_v, 0.0), own.speed + off_v)
+                accel = min(max(planned.acceleration, own.acceleration - off_a), own.acceleration + off_a)
                 return replace(planned, speed=speed, acceleration=accel), distance
             if own.speed < 1.0:  # too slow for the yaw rate to tell the steering
                 return replace(own, curvature=planned.curvature), None

@@ -170,7 +170,7 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
     s_max = min(here, road.route_limit, settings.max_speed)
     reach = min(max(s_max, 1.0), start.speed + 5.0)
     horizon = max(settings.horizon_s * reach, 1.5 * start.speed + start.speed**2 / 3.0 + 12.0, 30.0)
-    step = float(np.clip(horizon / (settings.stations - 1), settings.step_min, settings.step_max))
+    step = min(max(horizon / (settings.stations - 1), settings.step_min), settings.step_max)
     horizon = step * (settings.stations - 1)
     s: F64 = np.asarray(s0 + 0.5 * step * np.arange(3 * settings.stations), dtype=np.float64)
     targets, lengths = _targets(scene, s, frenet, settings)

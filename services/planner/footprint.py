@@ -62,6 +62,12 @@ class Footprint:
         """The same for the kernels."""
         return kernels.pack(self.x, self.y, self.taken, self.outline)
 
+    @cached_property
+    def packed_rear(self) -> Any:
+        """The rear half of the outline alone, for the kernels; nothing is taken off."""
+        rear = np.flatnonzero(self.rear[: self.outline])
+        return kernels.pack(self.x[rear], self.y[rear], np.zeros((2, 5, len(rear)), np.float32), len(rear))
+
     @staticmethod
     def of(ego: Ego, spacing: float, flank_margin: float = 0.0, behind: float = 0.0) -> Footprint:
         """Points on the outline no further than `spacing` apart [m]; `flank_margin` is taken off beside and behind.
@@ -157,6 +163,20 @@ def timed_risk(volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F6
         _, _, whole, four, _ = kernels.look_up(volume, footprint.packed, (1e9, 1e9), none, *at, 0, slices)
         risk = four[1, :, 0]
     return risk.astype(np.float64).reshape(np.shape(x)), np.asarray(whole, dtype=bool).reshape(np.shape(x))
+
+
+def rear_risk(volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, t: F64) -> F32:
+    """The maximum on the rear half of the outline at poses of the rear axle [m] at plan times t [m] [s]; [m]."""
+    slices = volume.slice_at(t)
+    if kernels is None or footprint.outline > kernels.MOST_SAMPLES:
+        rear = footprint.rear[: footprint.outline]
+        fx, fy = footprint.at(x, y, heading)
+        values = volume.sample_at(fx[:, : footprint.outline][:, rear], fy[:, : footprint.outline][:, rear], slices)
+        return np.asarray(values.max(axis=1))
+    none = np.zeros(1, dtype=np.uint8)
+    poses = (x[None], y[None], heading[None])
+    found = kernels.look_up(volume, footprint.packed_rear, (1e9, 1e9), none, *poses, 0, slices)
+    return np.asarray(found[0][0, 0])
 
 
 def _fastest(footprint: Footprint) -> Callable[..., _Looked]:

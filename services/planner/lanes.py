@@ -106,7 +106,9 @@ class RouteLanes:
 
     def index(self, s: npt.ArrayLike) -> npt.NDArray[np.intp]:
         """Station at arc lengths `s`."""
-        return np.clip(np.rint(np.asarray(s) / SPACING).astype(np.intp), 0, len(self.limit) - 1)
+        return np.asarray(
+            np.minimum(np.maximum(np.rint(np.asarray(s) / SPACING).astype(np.intp), 0), len(self.limit) - 1)
+        )
 
 
 _BESIDE = 9.0  # m; tracks further away are of no use

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from services.planner.footprint import CORNER, Footprint, PathRisk
+from services.planner.footprint import CORNER, Footprint, PathRisk, rear_risk
 from services.planner.volume import NOBODY, Volume
 
 F32 = npt.NDArray[np.float32]
@@ -33,6 +33,8 @@ def pushers(volume: Volume, footprint: Footprint, x: F64, y: F64, heading: F64, 
         t: Plan times of the samples, increasing, near enough that none is jumped over [m] [s].
         r_hit: Risk of contact [E_max].
     """
+    if not (rear_risk(volume, footprint, x, y, heading, t) >= r_hit - 1e-3).any():
+        return frozenset()
     fx, fy = footprint.at(x, y, heading)
     fx, fy = fx[:, : footprint.outline], fy[:, : footprint.outline]
     slices = volume.slice_at(t)

@@ -77,7 +77,7 @@ class ReferenceLine:
     def at(self, s: npt.ArrayLike) -> Frenet:
         """The line at arc lengths `s`, any shape; straight beyond the ends."""
         s = np.asarray(s, dtype=np.float64)
-        inside = np.clip(s, 0.0, self.length)
+        inside = np.minimum(np.maximum(s, 0.0), self.length)
         over = s - inside
         f = inside / self.spacing
         i = np.minimum(f.astype(np.intp), len(self.x) - 2)

@@ -48,7 +48,7 @@ class Path:
     def at(self, distance: F64) -> tuple[F64, F64, F64, F64]:
         """x, y, heading, curvature at distances along it."""
         last = self.step * (len(self.x) - 1)
-        inside = np.clip(distance, 0.0, last)
+        inside = np.minimum(np.maximum(distance, 0.0), last)
         f = inside / self.step
         i = np.minimum(f.astype(np.intp), len(self.x) - 2)
         w = f - i

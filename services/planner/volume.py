@@ -64,7 +64,8 @@ class Volume:
 
     def slice_at(self, t: npt.ArrayLike) -> npt.NDArray[np.intp]:
         """Which of those slices holds at plan times t [s]."""
-        return np.clip(np.searchsorted(self.starts, np.asarray(t) + 1e-9, side="right") - 1, 0, self.slices - 1)
+        after = np.searchsorted(self.starts, np.asarray(t) + 1e-9, side="right")
+        return np.asarray(np.minimum(np.maximum(after - 1, 0), self.slices - 1))
 
     def coordinates(self, x: F64, y: F64) -> tuple[F64, F64]:
         """Grid coordinates, in cells from the grid's corner."""

@@ -109,23 +109,24 @@ class Predictor:
         rows = choice.method == Method.CTRA
         if rows.any():
             _put(motion, rows, ctra(state.take(rows), self.settings.kinematic))
-        rows = choice.method == Method.MAP_BASED
-        if rows.any() and match is not None and self._lanes is not None:
-            lanes, settings = self._lanes, self.settings
-            _put(motion, rows, map_based(state.take(rows), match.take(rows), lanes, settings.map, settings.kinematic))
-        rows = choice.method == Method.LSTM
-        if rows.any() and self._learned is not None:
-            _put(motion, rows, self._learned.predict(objects, history, state, rows))
-            if self.settings.policy == "learned-on-lanes" and match is not None and self._lanes is not None:
-                rows &= (match.lane >= 0) & DRIVES_ON_LANES[objects.cls]
-                if rows.any():
-                    _put(motion, rows, self._on_lanes(state.take(rows), match.take(rows), motion.take(rows)))
+        learned = choice.method == Method.LSTM
+        if learned.any() and self._learned is not None:
+            _put(motion, learned, self._learned.predict(objects, history, state, learned))
+        if match is None or self._lanes is None:
+            return motion
+        # on the lanes' paths, all together: at the map's speeds, or at those that the network has just told
+        mapped, on_lanes = choice.method == Method.MAP_BASED, np.zeros_like(learned)
+        if self.settings.policy == "learned-on-lanes" and self._learned is not None:
+            on_lanes = learned & (match.lane >= 0) & DRIVES_ON_LANES[objects.cls]
+        rows = mapped | on_lanes
+        if rows.any():
+            settings = self.settings
+            paths = map_based(state.take(rows), match.take(rows), self._lanes, settings.map, settings.kinematic)
+            _put(motion, mapped, paths.take(mapped[rows]))
+            if on_lanes.any():
+                told = paths.take(on_lanes[rows]), motion.take(on_lanes)
+                _put(motion, on_lanes, lane_path_network_speed(state.take(on_lanes), *told))
         return motion
-
-    def _on_lanes(self, state: State, match: Match, learned: Motion) -> Motion:
-        assert self._lanes is not None
-        mapped = map_based(state, match, self._lanes, self.settings.map, self.settings.kinematic)
-        return lane_path_network_speed(state, mapped, learned)
 
 
 def _put(motion: Motion, rows: Bool, part: Motion) -> None:

@@ -112,23 +112,27 @@ def _along(
     limit = paths.limit_at(station)
     habit = np.maximum(v0 / np.where(limit[:, 0] > 0, limit[:, 0], np.inf), 1.0)
     allowed = np.minimum(allowed, np.where(limit > 0, limit * habit[:, None], np.inf))
+    squared = np.ascontiguousarray(allowed.T) ** 2  # station by station: a row is all objects at one
+    gained = 2 * settings.braking_mps2 * ds
     for k in range(STATIONS - 2, -1, -1):
-        np.minimum(allowed[:, k], np.sqrt(allowed[:, k + 1] ** 2 + 2 * settings.braking_mps2 * ds), out=allowed[:, k])
+        np.minimum(squared[k], squared[k + 1] + gained, out=squared[k])
+    allowed = np.sqrt(squared).ravel()
 
-    s, v = np.empty((n, PREDICTION_FRAMES)), np.empty((n, PREDICTION_FRAMES))
-    s_now, v_now, v_free = s0, v0, v0
-    rows = np.arange(n)
+    s, v = np.empty((PREDICTION_FRAMES, n)), np.empty((PREDICTION_FRAMES, n))
+    bent, wished = np.ascontiguousarray(kappa.T).ravel(), np.ascontiguousarray(free.T)
+    wished = np.diff(wished, axis=0, prepend=v0[None])
+    slowest, aside, fading = settings.braking_mps2 * FRAME_S, d0 - target, -1.0 / (np.maximum(v0, 1e-3) * tau)
+    moved, v_now, rows = np.zeros(n), v0, np.arange(n)
     for i in range(PREDICTION_FRAMES):
-        near = np.minimum(((s_now - s0) / ds).astype(np.int64), STATIONS - 1)
-        v_next = np.minimum(
-            v_now + free[:, i] - v_free, np.maximum(allowed[rows, near], v_now - settings.braking_mps2 * FRAME_S)
-        )
-        v_next = np.clip(v_next, 0.0, SPEED_LIMIT)
-        d = target + (d0 - target) * np.exp(-(s_now - s0) / (np.maximum(v0, 1e-3) * tau))
-        s_now = s_now + FRAME_S * (v_now + v_next) / 2 / np.clip(1.0 - kappa[rows, near] * d, 0.3, 3.0)
-        v_now, v_free = v_next, free[:, i]
-        s[:, i], v[:, i] = s_now, v_now
-    return s, v
+        near = np.minimum((moved / ds).astype(np.int64), STATIONS - 1) * n + rows
+        v_next = np.minimum(v_now + wished[i], np.maximum(allowed.take(near), v_now - slowest))
+        v_next = np.minimum(np.maximum(v_next, 0.0), SPEED_LIMIT)
+        d = target + aside * np.exp(moved * fading)
+        shrink = np.minimum(np.maximum(1.0 - bent.take(near) * d, 0.3), 3.0)
+        moved = moved + FRAME_S / 2 * (v_now + v_next) / shrink
+        v_now = v_next
+        s[i], v[i] = moved, v_now
+    return np.ascontiguousarray((s0 + s).T), np.ascontiguousarray(v.T)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,12 @@ import numpy.typing as npt
 
 _MEMBER = re.compile(r"^\s*(?:const )?(int|float|double|unsigned char|void)(\*?) (\w+);", re.MULTILINE)
 _TYPES = {"int": ctypes.c_int, "float": ctypes.c_float, "double": ctypes.c_double}
-_DTYPES: dict[str, Any] = {"int": np.int32, "float": np.float32, "double": np.float64, "unsigned char": np.uint8}
+_DTYPES = {
+    "int": np.dtype(np.int32),
+    "float": np.dtype(np.float32),
+    "double": np.dtype(np.float64),
+    "unsigned char": np.dtype(np.uint8),
+}
 
 
 class Parameters(ctypes.Structure):
@@ -31,12 +36,14 @@ class Parameters(ctypes.Structure):
 
     def fill(self, **values: Any) -> None:
         """Set members by name; of an array its address, copied first only if type or order are not the declared."""
+        kinds = self.dtypes
         for name, value in values.items():
-            if isinstance(value, np.ndarray):
-                kind = self.dtypes[name]
-                value = np.ascontiguousarray(value, dtype=value.dtype if kind is None else kind)
+            if name in kinds:
+                kind = kinds[name]
+                if not (value.flags.c_contiguous and (kind is None or value.dtype is kind)):
+                    value = np.ascontiguousarray(value, dtype=kind)
                 self.kept.append(value)  # alive as long as this is
-                value = value.__array_interface__["data"][0]
+                value = value.ctypes.data
             setattr(self, name, value)
 
     @property
