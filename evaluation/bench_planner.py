@@ -5,7 +5,8 @@ In one run, one thread, taking turns, medians:
 - `ours_ms`: the footprint of 256 candidate motions of 60 points looked up in the slice in force at each, bilinearly,
   and its maximum taken; `numpy_ms`: the same work as a NumPy gather, with the same result;
 - `evaluated_ms`: what the default planner does with 256 candidates, 32 paths at 8 target speeds: looked up in every
-  slice, rolled out with the driven controller and checked (contact, stopping distance, speed law, comfort);
+  slice, rolled out with the driven controller up to the first check that fails (contact, stopping distance, speed
+  law, comfort);
 - `frenetix_ms`: 256 trajectories of frenetix (C++), generated, checked for feasibility and costed; it looks up no risk.
   LGPL-3.0-or-later: it is no dependency of this project, and is measured only where the user has installed it;
 - the whole cycle of the service's core, as it steps 20 times a second.
@@ -29,7 +30,7 @@ from services.planner.bezier import Paths, Start, Target, build_paths, frenet_st
 from services.planner.core import Planner, start_of
 from services.planner.footprint import Footprint, path_risk, timed_risk
 from services.planner.reference import ReferenceLine
-from services.planner.rollout import Field, Tier, roll_out
+from services.planner.rollout import Field, Tier, judge
 from services.planner.settings import PlannerSettings
 from services.planner.speed import Cap
 from services.planner.volume import Volume
@@ -152,7 +153,7 @@ def _evaluated(
     def once() -> object:
         risk = path_risk(volume, footprint, paths.x, paths.y, paths.heading, paths.step)
         field = Field.of(risk, volume, cap, paths.end, s_max, paths.step, settings, paths.curvature)
-        return roll_out(field, start, path, target, hold, comfort, settings)
+        return judge(field, start, path, target, hold, comfort, settings)
 
     return once
 

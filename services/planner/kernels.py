@@ -318,6 +318,8 @@ def roll(
     path: Integers,
     target: F64,
     hold: F64,
+    *,
+    traced: bool = True,
 ) -> tuple[F64, F64, F64, I32, I32]:
     """Roll K motions out; returns distance, speed, acceleration [K, steps + 1], failure and its step [K].
 
@@ -327,14 +329,15 @@ def roll(
         path: path of each motion [K].
         target: target speed [K] [m/s].
         hold: when the braking starts [K] [s].
+        traced: else they are only judged, and the first three are empty [0, steps + 1].
     """
     q, k, n = field.one, len(path), constants["steps"] + 1
-    out: F64 = np.empty((3, k, n))
+    out: F64 = np.empty((3, k if traced else 0, n))
     failure, failed_at = np.empty(k, np.int32), np.empty(k, np.int32)
     kept = len(q.kept)
     q.fill(
-        path=path, target=target, hold=hold, s=out[0], v=out[1], a=out[2], failure=failure, failed_at=failed_at,
-        **constants,
+        path=path, target=target, hold=hold, traced=int(traced), s=out[0], v=out[1], a=out[2], failure=failure,
+        failed_at=failed_at, **constants,
     )  # fmt: skip
     _launch(roll_kernel, k, q)
     del q.kept[kept:]

@@ -258,6 +258,18 @@ def roll_out(
     return Rollouts(times, s, v, a, failure.astype(np.intp), failed_at.astype(np.intp))
 
 
+def judge(
+    field: Field, start: Start, path: Ints, target: F64, hold: F64, tier: Tier, settings: PlannerSettings
+) -> tuple[Ints, Ints]:
+    """What fails first of K motions (see `roll_out`) and in which step, both [K]; nothing else is kept of them."""
+    if kernels is None:
+        r = roll_out(field, start, path, target, hold, tier, settings)
+        return r.failure, r.failed_at
+    values = constants(field, start, tier, settings)
+    *_, failure, failed_at = kernels.roll(field.on_device, values, path, target, hold, traced=False)
+    return failure.astype(np.intp), failed_at.astype(np.intp)
+
+
 def constants(field: Field, start: Start, tier: Tier, settings: PlannerSettings) -> dict[str, Any]:
     """What the kernels need to know besides the field's arrays, by their names."""
     times, slices, into = field.clock(settings.horizon_s)

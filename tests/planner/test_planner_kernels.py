@@ -13,7 +13,7 @@ from services.planner.bezier import Start, Target, build_paths
 from services.planner.contact import Contact
 from services.planner.footprint import Footprint, path_risk, timed_risk
 from services.planner.reference import ReferenceLine
-from services.planner.rollout import Tier, roll_out
+from services.planner.rollout import Tier, judge, roll_out
 from services.planner.search import highest
 from services.planner.settings import PlannerSettings
 from services.planner.speed import brake_before
@@ -73,6 +73,9 @@ def test_rolling_out_in_the_kernel_equals_numpy(seed: int, tier: int, speed: flo
     for name in ("t", "distance", "speed", "acceleration"):
         np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), atol=1e-9, err_msg=name)
     np.testing.assert_array_equal(fast.failure, slow.failure)
+    failure, failed_at = judge(field, start, path, target, hold, Tier.all(SETTINGS)[tier], SETTINGS)
+    np.testing.assert_array_equal(failure, slow.failure)
+    np.testing.assert_array_equal(failed_at[failure > 0], slow.failed_at[failure > 0])
     np.testing.assert_array_equal(fast.failed_at[fast.failure > 0], slow.failed_at[slow.failure > 0])
 
 

@@ -59,7 +59,8 @@ Roll = structure(
     + """
     const double* target; // [K]
     const double* hold;   // [K]
-    double* s;            // [K, steps + 1], as the next ones
+    int traced;           // 0: only judged, up to the first failure
+    double* s;            // [K, steps + 1], as the next ones; if traced
     double* v;
     double* a;
     int* failure;         // [K]
@@ -172,7 +173,8 @@ ROLL = Roll.cpp + (
     _ONE
     + """
     const long long out = (long long)k * (p.steps + 1);
-    const Judged judged = roll(p.path[k], p.target[k], p.hold[k], p.s + out, p.v + out, p.a + out);
+    const Judged judged = p.traced ? roll(p.path[k], p.target[k], p.hold[k], p.s + out, p.v + out, p.a + out)
+        : roll(p.path[k], p.target[k], p.hold[k], nullptr, nullptr, nullptr);
     p.failure[k] = judged.failure;
     p.failed_at[k] = judged.failed_at;
 """
