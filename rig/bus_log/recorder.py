@@ -36,7 +36,11 @@ QUEUE_BYTES = 256 * MIB
 RESERVE_BYTES = 256 * MIB
 """This much of the disk stays free."""
 FLUSH_S = 0.5
-"""A chunk is closed after this long, so that a crash loses no more [s]."""
+"""A chunk is closed after this long, so that a crash loses no more [s] …"""
+CHUNK_BYTES = 2 * MIB
+"""… or when it is of this size."""
+CLOSE_S = 10.0
+"""What waits is still written for this long when the recording ends; a disk too slow for that loses the rest [s]."""
 
 
 class Recorder:
@@ -49,13 +53,16 @@ class Recorder:
         self.written: Counter[str] = Counter()
         self.trouble = ""
         """Why nothing is written now; empty: it is."""
+        self._chunk: Counter[str] = Counter()
+        self._chunk_bytes = 0
+        self._deadline: float | None = None
         self._queue: queue.SimpleQueue[Raw | None] = queue.SimpleQueue()
         self._waiting = 0
         self._broken = False
         self._lock = threading.Lock()
         self._path, self._reserve = path, reserve_bytes
         self._file = path.open("wb")
-        self._writer = Writer(self._file, chunk_size=2 * MIB, compression=CompressionType.ZSTD)
+        self._writer = Writer(self._file, chunk_size=2**62, compression=CompressionType.ZSTD)  # we say when
         self._wall_ns = time.time_ns() - monotonic()
         self._writer.start(profile="", library="forefield")
         self._writer.add_metadata(
@@ -97,9 +104,11 @@ class Recorder:
         return self._path.stat().st_size if self._path.exists() else 0
 
     def close(self) -> None:
-        """Write what waits, then counts and index."""
+        """Write what waits, as far as the disk is fast enough, then counts and index."""
+        self._deadline = time.monotonic() + CLOSE_S
         self._queue.put(None)
         self._thread.join()
+        self._flush()
         try:
             if not self._broken:
                 self._writer.add_metadata(DROPPED, {name: str(n) for name, n in self.dropped.items()})
@@ -129,7 +138,7 @@ class Recorder:
                     return
                 with self._lock:
                     self._waiting -= _bytes(message)
-                if self._broken or not self._has_room():
+                if self._broken or self._is_over() or not self._has_room():
                     self._drop(message)
                 else:
                     self._put(message)
@@ -146,10 +155,14 @@ class Recorder:
             data = pack(message.attachment, message.payload)
             self._writer.add_message(self._channels[suffix], at, data, at, _sequence(message))
             self.written[suffix] += 1
+            self._chunk[suffix] += 1
+            self._chunk_bytes += len(data)
             self._say("")
         except OSError as e:
             self._drop(message)
             self._break(e)
+        if self._chunk_bytes >= CHUNK_BYTES:
+            self._flush()
 
     def _drop(self, message: Raw) -> None:
         with self._lock:  # the bus' threads count too
@@ -159,12 +172,25 @@ class Recorder:
         if not self._broken:
             try:
                 self._writer.flush()  # type: ignore[no-untyped-call]
+                self._chunk.clear()
+                self._chunk_bytes = 0
             except OSError as e:
                 self._break(e)
 
+    def _is_over(self) -> bool:
+        """Whether the recording has ended and the disk has not kept up."""
+        if self._deadline is None or time.monotonic() <= self._deadline:
+            return False
+        self._say(f"{self._path}: the disk is too slow: what still waited {CLOSE_S:g} s after the end is left out")
+        return True
+
     def _break(self, error: OSError) -> None:
-        # half a chunk stands in the file: what follows it could not be read
+        # half a chunk stands in the file: neither it nor what follows could be read
         self._broken = True
+        with self._lock:
+            self.written.subtract(self._chunk)
+            self._dropped.update(self._chunk)
+        self._chunk.clear()
         self._say(f"{self._path}: {error.strerror}; `forefield repair` saves what was written before")
 
     def _has_room(self) -> bool:

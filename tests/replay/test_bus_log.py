@@ -502,3 +502,59 @@ def test_a_map_that_was_sent_again_and_again_is_kept_once():
 
 def replace_lanes(world: Map) -> Map:
     return Map(lanes=world.lanes[:1], obstacles=world.obstacles)
+
+
+class FailingDisk:
+    """A file on a disk that is full from some moment on, or takes long for every write."""
+
+    def __init__(self, file) -> None:
+        self._file, self.full, self.slow_s = file, False, 0.0
+
+    def write(self, data: bytes) -> int:
+        time.sleep(self.slow_s)
+        if self.full:
+            raise OSError(28, "No space left on device")
+        return self._file.write(data)
+
+    def __getattr__(self, name: str):
+        return getattr(self._file, name)
+
+
+def on_failing_disk(recorder: Recorder) -> FailingDisk:
+    disk = FailingDisk(recorder._file)
+    recorder._file = recorder._writer._Writer__stream = disk
+    return disk
+
+
+def test_what_a_full_disk_did_not_take_counts_as_dropped_and_the_rest_is_read_back(endpoint, tmp_path):
+    with bus_of(endpoint, "a", "full") as bus:
+        path = tmp_path / "a.mcap"
+        with Recorder(bus, (topics.EGO,), path, {}, reserve_bytes=0) as recorder:
+            disk = on_failing_disk(recorder)
+            good = Raw(topics.EGO, b"h", b"p", "", monotonic())
+            for _ in range(3):
+                recorder.hear(good)
+            until(lambda: recorder.written["ego"] == 3 and not recorder._chunk, what="a chunk on the disk")
+            disk.full = True
+            for _ in range(4):
+                recorder.hear(good)
+            until(lambda: recorder.dropped["ego"] == 4, what="the count of what was lost")
+            assert "No space left" in recorder.trouble
+        assert recorder.written["ego"] == 3
+    found = BusLog.open(path)
+    assert sum(1 for _ in found.messages()) + sum(found.refused.values()) == 3
+
+
+def test_a_disk_that_is_too_slow_does_not_keep_the_recording_from_ending(endpoint, tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder_module, "CLOSE_S", 0.3)
+    monkeypatch.setattr(recorder_module, "CHUNK_BYTES", 1)  # each message by itself
+    with bus_of(endpoint, "a", "slow") as bus:
+        path = tmp_path / "a.mcap"
+        recorder = Recorder(bus, (topics.EGO,), path, {}, reserve_bytes=0)
+        on_failing_disk(recorder).slow_s = 0.02
+        for _ in range(500):
+            recorder.hear(Raw(topics.EGO, b"h", b"p", "", monotonic()))
+        recorder.close()  # all of it would take ten seconds
+    assert recorder.dropped["ego"] > 0 and recorder.written["ego"] + recorder.dropped["ego"] == 500
+    assert "too slow" in recorder.trouble
+    assert BusLog.open(path).dropped == {"ego": recorder.dropped["ego"]}
