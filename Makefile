@@ -13,7 +13,7 @@ TORCH_INDEX ?=
 FAULTS_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow test-docker faults faults-full reference-drive check audit sbom format clean
+.PHONY: help setup demo test test-slow test-docker faults faults-full mutants reference-drive check audit sbom format clean
 
 help: ## Show what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | column -t -s "$$(printf '\t')"
@@ -47,6 +47,9 @@ faults: $(STAMP) ## Break everything on purpose and write the table into docs/sa
 
 faults-full: $(STAMP) ## The same with the full counts (hours)
 	@$(BIN)/python -m evaluation.faults --full --json docs/faults.json --markdown docs/safety.md $(FAULTS_ARGS)
+
+mutants: $(STAMP) ## Change codec, health, validator and safe stop in 1700 small ways: do their tests notice? (20 minutes)
+	@$(BIN)/python -m evaluation.faults.mutants $(MUTANTS_ARGS)
 
 reference-drive: $(STAMP) ## Renew the recorded drive that the tests repeat (tests/replay)
 	@$(BIN)/python -m rig.bus_log.reference tests/replay/reference_drive.mcap
