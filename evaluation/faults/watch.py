@@ -60,6 +60,8 @@ class Heard:
     sent_ns: int
     capture_ns: int
     cause: Cause | None
+    work_ns: int
+    """From the arrival of what it was made from to its sending [ns]."""
     mode: str = ""
     """Mode of a plan, state of a status."""
     reason: str = ""
@@ -164,7 +166,9 @@ class Watch:
     def _note(self, raw: Raw, mode: str = "", reason: str = "") -> Heard:
         h = codec.decode_header(raw.topic, raw.attachment)
         topic = raw.topic.suffix
-        heard = Heard(topic, raw.received_ns, h.boot, h.seq, h.sent_ns, h.capture_ns, h.cause, mode, reason)
+        heard = Heard(
+            topic, raw.received_ns, h.boot, h.seq, h.sent_ns, h.capture_ns, h.cause, h.work_ns, mode, reason
+        )  # fmt: skip
         with self._lock:
             self._heard[topic].append(heard)
         return heard
