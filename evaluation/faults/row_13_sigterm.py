@@ -23,7 +23,7 @@ def run(scale: Scale, seed: int, say: Say) -> Row:
     with stack(seed=seed) as s:
         for i in range(n):
             for service in SERVICES:
-                s.settle()
+                s.settle(0.3)
                 used |= mapped(s)
                 end(s, service, took, codes)
                 s.start(service)
@@ -31,7 +31,7 @@ def run(scale: Scale, seed: int, say: Say) -> Row:
             say(f"{i + 1} of {n}: {', '.join(f'{k} {v[-1]:.2f} s' for k, v in took.items() if v)}")
         routers = scale.repetitions(3, 100)
         for _ in range(routers):
-            s.settle()
+            s.settle(0.3)
             end(s, "router", took, codes)
             s.start("router")
             s.wait_drive()
