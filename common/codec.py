@@ -18,8 +18,8 @@ import msgpack
 import msgspec
 import numpy as np
 
-from common.messages import BLOCK, Array, Header, Message, Risk
-from common.topics import VERSION_MAJOR, Topic
+from common.messages import BLOCK, Array, Header, Message, Risk, Status
+from common.topics import STATUS_OF, VEHICLE, VERSION_MAJOR, Topic
 
 MAX_CONTAINERS = 200_000
 """Maps and arrays in one message, all depths together."""
@@ -68,6 +68,7 @@ def encode_body(topic: Topic, message: Message) -> tuple[bytes, dict[str, Any] |
             `range`, `content`, `too_large`).
     """
     check(message)
+    _check_speaker(topic, message)
     if isinstance(message, Risk):
         fields = cast(dict[str, Any], msgspec.to_builtins(message, enc_hook=_describe_array))
         payload = b"".join((_contiguous(message.volume).data, _contiguous(message.dominant).data))
@@ -113,6 +114,7 @@ def decode_body(topic: Topic, header: Header, payload: bytes) -> Message:
     fields = _risk_fields(header, payload) if topic.message is Risk else _unpack(payload, "malformed")
     message = cast(Message, _converted(fields, topic.message, _read_array))
     _check_content(message)
+    _check_speaker(topic, message)
     return message
 
 
@@ -136,6 +138,14 @@ def _converted(fields: Any, kind: type, arrays: Callable[[type, Any], Any]) -> A
             raise RefusedError(inner.reason, text) from None
         beyond = any(sign in text for sign in ("<=", ">=", "` >", "` <"))
         raise RefusedError("range" if beyond else "type", text) from None
+
+
+def _check_speaker(topic: Topic, message: Message) -> None:
+    # whose key it is, only he may write: what he says must not be taken for another's
+    if not isinstance(message, Status) or message.service == topic.writer:
+        return
+    if topic.writer != VEHICLE or message.service in STATUS_OF:  # a vehicle may have a name of its own
+        raise RefusedError("content", f"status of {message.service!r} on {topic.suffix!r}")
 
 
 def _check_content(message: Message) -> None:

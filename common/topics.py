@@ -14,6 +14,8 @@ from common import messages
 
 KIB = 1024
 MIB = 1024 * KIB
+VEHICLE = "vehicle"
+"""Who writes what no service does: our own vehicle, or the bench in its place."""
 VERSION_MAJOR = 1
 VERSION_MINOR = 1  # 1.1: headers name what a step had before it (`step`)
 
@@ -84,7 +86,7 @@ def _latest(
 
 def _latched(name: str, message: type, size: int, readers: str) -> Topic:
     return Topic(
-        name, name, message, None, None, size, 4 * KIB, Delivery.LATCHED, Priority.DATA_HIGH, "vehicle",
+        name, name, message, None, None, size, 4 * KIB, Delivery.LATCHED, Priority.DATA_HIGH, VEHICLE,
         _names(readers), True,
     )  # fmt: skip
 

@@ -107,8 +107,8 @@ def plan(**changes: Any) -> m.Plan:
     return m.Plan(**{**fields, **changes})
 
 
-def status() -> m.Status:
-    return m.Status(service="planner", state="ready", reason="driving", uptime_s=3.0,
+def status(service: str = "planner") -> m.Status:
+    return m.Status(service=service, state="ready", reason="driving", uptime_s=3.0,
                     inputs={"ego": m.InputHealth(alive=True, rate_ok=True, valid=True, age_s=0.02)},
                     counters={"risk:stale": 2}, work_ms={"p50": 3.0})  # fmt: skip
 

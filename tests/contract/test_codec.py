@@ -293,3 +293,18 @@ def test_a_status_is_sent_however_long_the_words_of_an_exception_are() -> None:
     health.say("degraded", "y" * 1_000_000)
     payload, _ = codec.encode_body(topics.STATUS_OF["planner"], health.status())
     assert len(payload) < 4096
+
+
+@pytest.mark.parametrize("topic", topics.STATUS_OF.values(), ids=lambda t: t.suffix)
+@pytest.mark.parametrize("name", [*topics.STATUS_OF, "rig"])
+def test_nobody_is_taken_for_another_by_his_status(topic: topics.Topic, name: str) -> None:
+    status = samples.status(name)
+    own = name == topic.writer or (topic.writer == "vehicle" and name == "rig")
+    payload = msgpack.packb(msgspec.to_builtins(status))
+    if own:
+        assert codec.encode_body(topic, status)[0] == payload
+        assert equal(codec.decode_body(topic, header(topic), payload), status)
+        return
+    for say in (lambda: codec.encode_body(topic, status), lambda: codec.decode_body(topic, header(topic), payload)):
+        with pytest.raises(RefusedError, match="content"):
+            say()

@@ -103,7 +103,7 @@ def refused(settings: BusSettings, **changes: Any) -> bool:
 
 
 def message(topic: topics.Topic) -> m.Message:
-    return samples.ALL.get(topic.suffix, samples.status)()
+    return samples.ALL[topic.suffix]() if topic.suffix in samples.ALL else samples.status(topic.writer)
 
 
 def raw(topic: topics.Topic, *, boot: str = "b" * 16, seq: int = 0) -> tuple[bytes, bytes]:
