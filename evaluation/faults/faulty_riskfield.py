@@ -51,7 +51,7 @@ def inject(kind: str, steps: int) -> None:
                 super().__init__(*arguments)
                 self.device = "cuda:0"
 
-        service.RiskField = OnGpu  # type: ignore[misc]
+        setattr(service, "RiskField", OnGpu)  # noqa: B010 - it stands there as an import
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import msgpack
 import numpy as np
@@ -105,7 +105,8 @@ class Fuzzer:
 
     def _edged(self, fields: dict[str, Any]) -> bytes:
         """One value replaced, dropped or added, anywhere in it."""
-        rng, at = self._rng, fields
+        rng = self._rng
+        at: Any = fields
         inside: Any = fields
         while isinstance(inside, dict | list) and inside and (inside is fields or rng.random() < 0.75):
             at = inside
@@ -146,7 +147,7 @@ def bombs(topic: Topic, boot: str = "b" * 16, now_ns: int = 0) -> list[Attack]:
     room = topic.max_bytes
 
     # under a field of the message: what has a name that nobody knows is skipped, as a newer version's fields are
-    field = b"\x81" + msgpack.packb(topic.message.__struct_fields__[0])
+    field: bytes = b"\x81" + msgpack.packb(cast(Any, topic.message).__struct_fields__[0])
 
     def filled(one: bytes, inner: int = 15) -> bytes:
         """Arrays of arrays of `inner` times the same, as many as there is room for."""

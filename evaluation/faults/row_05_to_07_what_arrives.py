@@ -315,7 +315,9 @@ class Siege:
         exits = [n for n in SERVICES if self.stack.lives[n].child.process.poll() is not None]
         exits += [n for n, pid in self._pids.items() if self.stack.lives[n].pid != pid]
         reads: dict[tuple[str, str], tuple[int, int, dict[str, int]]] = {}
-        unaccounted, lost, errors = {}, {}, {}
+        unaccounted: dict[str, int] = {}
+        lost: dict[str, int] = {}
+        errors: dict[str, int] = {}
         for name in SERVICES:
             before, now = self._begin[name], self._status(name)
             errors |= {f"{name} {k}": v for k, v in now.counters.items() if k.startswith("step:")}

@@ -277,7 +277,7 @@ def wall_clock_readers() -> set[str]:
         for path in sorted((ROOT / folder).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text())):
                 named = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name | ast.Attribute)
-                if named and (_last(node.value), node.attr) in _WALL:  # type: ignore[union-attr, attr-defined]
+                if named and (_last(node.value), node.attr) in _WALL:  # type: ignore[attr-defined]
                     found.add(str(path.relative_to(ROOT)))
                 if isinstance(node, ast.ImportFrom) and any((node.module, a.name) in _WALL for a in node.names):
                     found.add(str(path.relative_to(ROOT)))

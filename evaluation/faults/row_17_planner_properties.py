@@ -269,9 +269,9 @@ def _monotonic(case: Case, plan: Plan, tally: Tally) -> None:
     tally.liked_better += int((through & looked_at & (b.score > a.score + 1e-6)).sum())
     if faster.any():
         tally.firmer += int((faster & (a.score - b.score > 0.5 * SETTINGS.tier_cost)).sum())
-        k = int(np.argmax(np.where(faster, b.desired_speed - a.desired_speed, -math.inf)))
+        worst = int(np.argmax(np.where(faster, b.desired_speed - a.desired_speed, -math.inf)))
         tally.note(
             "a raised cell raised the desired speed of a path through it",
-            f"{case}, cell {i}, {j}: {a.desired_speed[k]:.2f} → {b.desired_speed[k]:.2f} m/s, score"
-            f" {a.score[k]:.2f} → {b.score[k]:.2f}",
+            f"{case}, cell {i}, {j}: {a.desired_speed[worst]:.2f} → {b.desired_speed[worst]:.2f} m/s, score"
+            f" {a.score[worst]:.2f} → {b.score[worst]:.2f}",
         )

@@ -134,8 +134,9 @@ def _value(hint: Any, rng: np.random.Generator, sizes: dict[str, int]) -> Any:
 def _array(array: Array, shape: list[int], rng: np.random.Generator) -> np.ndarray[Any, Any]:
     dtype = np.dtype(array.dtypes[0])
     if dtype.kind != "f":
-        return rng.integers(max(array.low, 0), min(array.high, 200) + 1, shape).astype(dtype)
-    return _between(array.low, array.high, rng, tuple(shape)).astype(dtype)
+        whole = rng.integers(int(max(array.low, 0)), int(min(array.high, 200)) + 1, tuple(shape))
+        return np.asarray(whole, dtype=dtype)
+    return np.asarray(_between(array.low, array.high, rng, tuple(shape)), dtype=dtype)
 
 
 def _between(low: float | None, high: float | None, rng: np.random.Generator, shape: tuple[int, ...]) -> Any:
