@@ -19,31 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from common.geometry import Polyline, distance_between_rectangles, rectangle_corners
-from common.messages import F64, FRAME_S, Ego, Goal, Map, ObjectClass, Route
+from common.geometry import distance_between_rectangles, rectangle_corners
+from common.messages import FRAME_S, Ego, Map
 from rig.settings import RigSettings
-from rig.sources import lanelets, routing
-from rig.sources.motion import heading_from_motion, on_frames
+from rig.sources import goals, lanelets, obstacles
 from rig.sources.start import without_ego
-from rig.world import SIZES, Closure, Scenario, ScenarioError, Track, ego_at
+from rig.world import Closure, Scenario, ScenarioError, Track, ego_at
 
-CLASSES = {
-    "car": ObjectClass.CAR,
-    "taxi": ObjectClass.CAR,
-    "parkedVehicle": ObjectClass.CAR,
-    "priorityVehicle": ObjectClass.CAR,
-    "truck": ObjectClass.TRUCK,
-    "train": ObjectClass.TRUCK,
-    "bus": ObjectClass.BUS,
-    "motorcycle": ObjectClass.MOTORCYCLE,
-    "bicycle": ObjectClass.BICYCLE,
-    "pedestrian": ObjectClass.PEDESTRIAN,
-}
-"""CommonRoad's obstacle types; every other one is `unknown`."""
-GOAL_RADIUS_M = 3.0  # m, at least: recorded goals are as small as the place where one driver happened to be
-OTHER_START_M = 1.5  # m of cost: lanes that hold the start nearly as well as the best one (junctions) may be chosen
 SHARP_GOAL_S = 1.1  # s: a goal whose interval of time is no wider tells when the recorded driver was there
-TIMED_GOAL_PACE = 0.8  # of the initial speed: where a goal that is only a time is put
 
 
 def load(path: Path, settings: RigSettings) -> Scenario:
@@ -77,11 +60,11 @@ def _scenario(path: Path, file: Any, problems: Any, settings: RigSettings, warni
     ego0 = _ego(problem.initial_state)
     if abs(dt - FRAME_S) > 1e-9:
         warnings.append(f"time step {dt} s, resampled to {FRAME_S} s")
-    tracks = _tracks(file, dt, step0, warnings)
+    tracks = obstacles.tracks_of(file, dt, step0, warnings)
     tracks, human = without_ego(tracks, ego0, warnings)
     goal_end = max(_last_step(s.time_step) for s in problem.goal.state_list) - step0
     last = max((k.last for k in tracks if len(k.x) > 1), default=round(goal_end * dt / FRAME_S))
-    tracks = [_to_the_end(k, last) for k in tracks]
+    tracks = [obstacles.to_the_end(k, last) for k in tracks]
     duration = last * FRAME_S
     if duration < 1.0:
         raise ScenarioError(f"only {duration:.1f} s of traffic are recorded")
@@ -91,7 +74,7 @@ def _scenario(path: Path, file: Any, problems: Any, settings: RigSettings, warni
         unsigned = sum(k.speed_limit == fallback for k in map.lanes)
         if unsigned == len(map.lanes):
             warnings.append(f"the map has no speed limits: {fallback:g} m/s ({kind}) is assumed")
-    route = _route(map, problem, ego0, goal_end * dt, warnings)
+    route = goals.route_to(map, problem, ego0, goal_end * dt, warnings)
     closures = lanelets.read_lights(file.lanelet_network, map, dt, duration, route.lane_ids)
     closures = _plausible(closures, map, tracks, ego0, warnings)
     tags = sorted(str(t.value) for t in file.tags) if file.tags else []
@@ -210,214 +193,6 @@ def _fallback_limit(file: Any, path: Path, settings: RigSettings) -> tuple[float
     if tags & {"highway", "interstate"} or types & {"highway", "interstate"}:
         return settings.motorway_speed_limit, "a motorway by its tags"
     return settings.urban_speed_limit, "a street by its tags"
-
-
-# --- obstacles ---
-
-
-def _tracks(file: Any, dt: float, step0: int, warnings: list[str]) -> list[Track]:
-    tracks = []
-    for o in sorted(file.obstacles, key=lambda k: k.obstacle_id):
-        try:
-            tracks.append(_track(o, dt, step0, warnings))
-        except ValueError as e:
-            warnings.append(f"obstacle {o.obstacle_id} left out: {e}")
-    kept = [k for k in tracks if k.last >= 0]
-    if len(kept) < len(tracks):
-        warnings.append(f"{len(tracks) - len(kept)} obstacles end before the run starts")
-    return kept
-
-
-def _track(o: Any, dt: float, step0: int, warnings: list[str]) -> Track:
-    kind = str(o.obstacle_type.value)
-    cls = CLASSES.get(kind, ObjectClass.UNKNOWN)
-    if kind not in CLASSES:
-        warnings.append(f"obstacle {o.obstacle_id}: type {kind!r} is taken as unknown")
-    states = _states(o)
-    t = np.array([(s.time_step - step0) * dt for s in states])
-    x, y = (np.array([float(s.position[k]) for s in states]) for k in (0, 1))
-    given: list[Any] = [getattr(s, "orientation", None) for s in states]
-    known = None not in given
-    heading = np.array([float(h) for h in given]) if known else heading_from_motion(x, y, float(given[0] or 0.0))
-    if not all(np.isfinite(v).all() for v in (x, y, heading)):
-        raise ValueError("a position or heading that is not finite")
-    if len(t) > 1 and not (np.diff(t) > 0).all():
-        raise ValueError("its time steps do not increase")
-    length, width, forward = _size(_shape(o), SIZES[cls])
-    x, y = x + forward * np.cos(heading), y + forward * np.sin(heading)
-    velocity = _first_velocity(states[0], float(heading[0]))
-    frame0, x, y, heading = on_frames(t, x, y, heading)
-    return Track(
-        id=int(o.obstacle_id),
-        cls=cls,
-        length=length,
-        width=width,
-        frame0=frame0,
-        x=x,
-        y=y,
-        heading=heading,
-        first_velocity=velocity,
-        label=f"{kind} {o.obstacle_id}",
-    )
-
-
-def _states(o: Any) -> list[Any]:
-    """Every state with an exact position and time, the initial one first."""
-    states = [o.initial_state]
-    prediction = getattr(o, "prediction", None)
-    if prediction is not None:
-        trajectory = getattr(prediction, "trajectory", None)
-        if trajectory is None:
-            raise ValueError("its motion is a set of occupancies, not a trajectory")
-        states += trajectory.state_list
-    for s in states:
-        if np.shape(s.position) != (2,) or not isinstance(s.time_step, int | np.integer):
-            raise ValueError("a position or time that is not exact")
-    return states
-
-
-def _to_the_end(track: Track, last: int) -> Track:
-    """One without motion (a static obstacle) stands there for the whole run."""
-    if len(track.x) > 1:
-        return track
-    n = max(1, last - track.frame0 + 1)
-    x, y, heading = (np.repeat(v, n) for v in (track.x, track.y, track.heading))
-    return Track(
-        track.id, track.cls, track.length, track.width, track.frame0, x, y, heading, (0.0, 0.0), label=track.label
-    )
-
-
-def _first_velocity(state: Any, heading: float) -> tuple[float, float] | None:
-    speed: Any = getattr(state, "velocity", None)
-    if not isinstance(speed, int | float | np.number):
-        return None
-    lateral: Any = getattr(state, "velocity_y", None)
-    if lateral is not None:
-        return float(speed), float(lateral)
-    return float(speed) * float(np.cos(heading)), float(speed) * float(np.sin(heading))
-
-
-def _shape(o: Any) -> Any:
-    return o.obstacle_shape
-
-
-def _size(shape: Any, otherwise: tuple[float, float]) -> tuple[float, float, float]:
-    """Length, width and how far the rectangle's centre lies ahead of the position [m]."""
-    if hasattr(shape, "length") and hasattr(shape, "width"):
-        return _sane(float(shape.length), float(shape.width), float(getattr(shape, "origin_x_shift", 0.0) or 0.0))
-    if hasattr(shape, "radius"):
-        return _sane(2 * float(shape.radius), 2 * float(shape.radius), 0.0)
-    vertices = getattr(shape, "vertices", None)
-    if vertices is not None:
-        low, high = np.min(vertices, axis=0), np.max(vertices, axis=0)
-        return _sane(float(high[0] - low[0]), float(high[1] - low[1]), float(high[0] + low[0]) / 2)
-    return (*otherwise, 0.0)
-
-
-def _sane(length: float, width: float, forward: float) -> tuple[float, float, float]:
-    if not (0.05 <= length <= 100.0 and 0.05 <= width <= 100.0):
-        raise ValueError(f"a size of {length:g} × {width:g} m")
-    return length, width, forward
-
-
-# --- the route ---
-
-
-def _route(map: Map, problem: Any, ego: Ego, time_s: float, warnings: list[str]) -> Route:
-    roads = routing.Roads.of(map)
-    starts = roads.at(ego.x, ego.y, ego.heading)
-    starts = [k for k in starts if k[0] < starts[0][0] + OTHER_START_M]
-    goal_state = problem.goal.state_list[0]
-    if len(problem.goal.state_list) > 1:
-        warnings.append(f"{len(problem.goal.state_list)} goal states; the first is driven to")
-    listed = (problem.goal.lanelets_of_goal_position or {}).get(0, [])
-    place = getattr(goal_state, "position", None)
-    if listed:
-        goals, centre = set(listed), None
-    elif place is not None:
-        centre = _centre(place)
-        goals = _goal_lanes(roads, centre, getattr(goal_state, "orientation", None))
-    else:
-        goals, centre = set(), None
-    path = _path(roads, starts, goals, ego.speed * time_s, warnings)
-    if path:
-        reference = np.ascontiguousarray(routing.reference(roads, path, ego.x, ego.y, ego.speed))
-    else:
-        ahead = np.array([np.cos(ego.heading), np.sin(ego.heading)])
-        reference = np.array([ego.x, ego.y]) + np.linspace(-5.0, routing.BEYOND_M, 106)[:, None] * ahead
-    line = Polyline.of(reference)
-    here = float(line.project(np.array([ego.x, ego.y]))[0])
-    if centre is not None:
-        goal = _goal_at(centre, place, line, warnings)
-    elif listed:
-        goal = _goal_in_lane(roads, line, [i for i in path if i in goals], here)
-    else:
-        way = TIMED_GOAL_PACE * ego.speed * time_s
-        x, y = line.at(min(here + max(way, 10.0), line.length))
-        goal = Goal(x=float(x), y=float(y), radius=GOAL_RADIUS_M)
-        warnings.append(f"the goal is only a time ({time_s:.1f} s): a point {way:.0f} m ahead stands for it")
-    rest = line.length - float(line.project(np.array([goal.x, goal.y]))[0])
-    if rest < routing.BEYOND_M:
-        warnings.append(f"the map ends {max(rest, 0.0):.0f} m beyond the goal: the route goes straight on from there")
-        more = line.at(line.length + np.arange(1.0, routing.BEYOND_M - rest + 1.0))
-        reference = np.ascontiguousarray(np.vstack((reference, more)))
-    driven = path or list(roads.lanes)
-    limits = [roads.lanes[i].speed_limit for i in driven]
-    width = float(np.median([roads.width(i) for i in driven]))
-    return Route(
-        reference=reference,
-        goal=goal,
-        lane_ids=path,
-        speed_limit=max(limits),
-        lane_width=float(np.clip(width, 2.0, 6.0)),
-    )
-
-
-def _path(
-    roads: routing.Roads, starts: list[tuple[float, int]], goals: set[int], reach: float, warnings: list[str]
-) -> list[int]:
-    """Lanes to the goal and at least 100 m beyond it; empty: the ego starts on no lane that runs its way."""
-    if not starts:
-        warnings.append("the ego does not start on a lane that runs its way: the route is straight ahead")
-        return []
-    path = routing.lane_sequence(roads, starts, goals) if goals else None
-    if path is None:
-        if goals:
-            warnings.append("no lanes connect the start with the goal: the route follows the lane")
-        path = [starts[0][1]]
-    return path + routing.following(roads, path[-1], max(routing.BEYOND_M, reach))[1:]
-
-
-def _centre(place: Any) -> F64:
-    return np.array(place.shapely_object.centroid.coords[0][:2], dtype=np.float64)
-
-
-def _goal_lanes(roads: routing.Roads, centre: F64, orientation: Any) -> set[int]:
-    """Lanes at the goal: the nearest, and others as near (lanes overlap in junctions)."""
-    heading = None
-    if orientation is not None and hasattr(orientation, "start"):
-        heading = (float(orientation.start) + float(orientation.end)) / 2
-    found = roads.at(float(centre[0]), float(centre[1]), heading) or roads.at(float(centre[0]), float(centre[1]), None)
-    return {i for cost, i in found if cost < found[0][0] + 1.5}
-
-
-def _goal_at(centre: F64, place: Any, line: Polyline, warnings: list[str]) -> Goal:
-    shape = place.shapely_object
-    reach = max(float(np.hypot(x - centre[0], y - centre[1])) for x, y in shape.exterior.coords)
-    radius = float(np.clip(reach, GOAL_RADIUS_M, 20.0))
-    off = abs(float(line.project(centre)[1]))
-    if off > radius:
-        warnings.append(f"the goal lies {off:.1f} m beside the route")
-    return Goal(x=float(centre[0]), y=float(centre[1]), radius=radius)
-
-
-def _goal_in_lane(roads: routing.Roads, line: Polyline, lanes: list[int], here: float) -> Goal:
-    """A goal that is a lane: a point within its first 10 m (on the ego's own lane: 10 m ahead)."""
-    lane = roads.lines[lanes[0]]
-    enter, leave = (float(line.project(lane.points[k])[0]) for k in (0, -1))
-    half = float(np.clip((leave - enter) / 2, GOAL_RADIUS_M, 10.0))
-    x, y = line.at(max(enter + half, here + half))
-    return Goal(x=float(x), y=float(y), radius=half)
 
 
 def _plausible(closures: list[Closure], map: Map, tracks: list[Track], ego: Ego, warnings: list[str]) -> list[Closure]:
