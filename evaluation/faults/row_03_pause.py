@@ -37,12 +37,12 @@ def run(scale: Scale, seed: int, say: Say) -> Row:
     with stack(seed=seed) as s:
         for i in range(n):
             for service in ("predictor", "riskfield"):
-                s.settle()
+                s.settle(0.5)
                 begin = time.monotonic_ns()
                 backs.append(paused(s, service))
                 gaps.append(s.watch.gaps_ms(begin))
                 old += old_drives(s, begin)
-            s.settle()
+            s.settle(0.5)
             begin = time.monotonic_ns()
             alone, back = planner_paused(s)
             off, again = max(off, deviation(alone)), max(again, back)
