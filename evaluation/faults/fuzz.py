@@ -49,7 +49,7 @@ class Fuzzer:
         """Args: topic; seed; samples: good messages (header, body) from real processes, to damage beside made ones."""
         self.topic = topic
         self._rng = np.random.default_rng([seed, *topic.suffix.encode()])
-        made = [encoded(topic, specimens.specimen(topic.message, self._rng)) for _ in range(4)]
+        made = [encoded(topic, specimens.of(topic, self._rng)) for _ in range(4)]
         weights = [1.0] * 4 + [min(1.0, 2e4 / max(len(payload), 1)) for _, payload in samples]
         self._samples = [*made, *samples]
         self._weights = np.array(weights) / sum(weights)
@@ -142,7 +142,7 @@ def encoded(topic: Topic, message: Any) -> tuple[bytes, bytes]:
 
 def bombs(topic: Topic, boot: str = "b" * 16, now_ns: int = 0) -> list[Attack]:
     """Messages that are small and claim to be large, deep, or of a type that runs code."""
-    good_head, good_body = encoded(topic, specimens.specimen(topic.message, np.random.default_rng(0)))
+    good_head, good_body = encoded(topic, specimens.of(topic, np.random.default_rng(0)))
     fields = msgpack.unpackb(good_head) | {"boot": boot, "capture_ns": now_ns, "sent_ns": now_ns}
     room = topic.max_bytes
 

@@ -97,7 +97,7 @@ def numbers(scale: Scale, seed: int, say: Say) -> Row:
     verdict, counts = Verdict(), Counter[str]()
     sent: list[tuple[Topic, Attack]] = []
     for topic in topics.TOPICS.values():
-        message = specimens.specimen(topic.message, rng)
+        message = specimens.of(topic, rng)
         for place in specimens.float_places(topic.message, message):
             for value in EDGES:
                 attack = edged(topic, message, place, value)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, g
 import msgspec
 import numpy as np
 
-from common.messages import BLOCK, Array, Header, Message, Plan, Risk
+from common.messages import BLOCK, Array, Header, Message, Plan, Risk, Status
 from common.topics import VERSION_MAJOR, VERSION_MINOR, Topic
 
 Path = tuple[str | int, ...]
@@ -26,6 +26,14 @@ _NEAR = 20.0
 def specimen(kind: type, rng: np.random.Generator) -> Any:
     """A valid value of a struct, optional fields filled in."""
     return _whole(kind, _struct(kind, rng))
+
+
+def of(topic: Topic, rng: np.random.Generator) -> Any:
+    """A valid message of a topic."""
+    message = specimen(topic.message, rng)
+    if isinstance(message, Status):  # who speaks is what the topic says
+        message = msgspec.structs.replace(message, service=topic.suffix.rpartition("/")[2])
+    return message
 
 
 def header(topic: Topic, body: dict[str, Any] | None, *, boot: str, seq: int, now_ns: int) -> Header:

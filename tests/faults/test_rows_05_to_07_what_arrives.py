@@ -83,7 +83,7 @@ def test_every_fuzzed_message_that_arrives_raises_exactly_one_counter_or_is_used
 @pytest.mark.parametrize("topic", topics.TOPICS.values(), ids=lambda t: t.suffix)
 def test_numbers_that_are_none_are_refused_by_the_name_of_their_field(topic: topics.Topic) -> None:
     verdict, counts = Verdict(), Counter[str]()
-    message = specimens.specimen(topic.message, np.random.default_rng(1))
+    message = specimens.of(topic, np.random.default_rng(1))
     for place in specimens.float_places(topic.message, message):
         for value in EDGES:
             counts[_judged(topic, place, value, edged(topic, message, place, value), verdict)] += 1
