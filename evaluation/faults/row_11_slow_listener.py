@@ -44,7 +44,7 @@ class Condition:
 
 def run(scale: Scale, seed: int, say: Say) -> Row:
     """Blocks of each condition, in turn."""
-    rounds, seconds = scale.repetitions(3, 30, 1), scale.seconds(6.0, 20.0, 3.0)
+    rounds, seconds = scale.repetitions(4, 30, 1), scale.seconds(6.0, 20.0, 3.0)
     met = {name: Condition() for name in ("nobody", "slow consumer", "frozen viewer")}
     waited_ms: list[float] = []
     taken = frozen = 0
