@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from common.config import ConfigError
+from evaluation.planning.prolonged import prolonged
 from evaluation.planning.traffic import Kind
 from rig.settings import RigSettings
 from rig.sources import ScenarioError, builtin_scenarios, load_scenario, tables
@@ -36,6 +38,19 @@ class Loaded:
     choice: Choice
     scenario: Scenario
     traffic: Kind
+    recorded_s: float = math.inf
+    """From then on the others' motion is made up (`prolonged`) [s]."""
+
+    def with_traffic(self, kind: Kind | None) -> Loaded:
+        """The others as asked for, otherwise reactive unless they must not be; recordings with a grace time then.
+
+        A replay is the record and nothing else: it ends with it.
+        """
+        default: Kind = "replay" if self.choice.family in REPLAYED else "reactive"
+        kind = kind or default
+        if kind == "replay" or self.choice.family:
+            return replace(self, traffic=kind)
+        return replace(self, traffic=kind, scenario=prolonged(self.scenario), recorded_s=self.scenario.duration_s)
 
 
 def choices(sources: Sequence[str], variants: int, seed: int) -> list[Choice]:
@@ -92,8 +107,7 @@ def loaded(
         except Exception as e:  # a reader's own surprise must not stop the others
             failed(c.name, f"{type(e).__name__}: {e}")
             continue
-        default: Kind = "reactive" if c.family and c.family not in REPLAYED else "replay"
-        worlds.append(Loaded(c, scenario, kind or default))
+        worlds.append(Loaded(c, scenario, "replay").with_traffic(kind))
     return worlds
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -85,14 +84,16 @@ def run(
     rig = config.section(tree, "rig", RigSettings)
     if tracks:
         worlds = replaced_vehicles(tracks, per_table, seed, rig, not_loaded.__setitem__)
-        worlds = [replace(w, traffic=traffic or w.traffic) for w in worlds]
+        worlds = [w.with_traffic(traffic) for w in worlds]
     else:
         worlds = loaded(choices(sources, variants, seed), traffic, rig, not_loaded.__setitem__)
     for name, why in not_loaded.items():
         console.print(f"[red]not loaded[/] {name}: {escape(why)}", soft_wrap=True, highlight=False)
     if not worlds:
         raise ConfigError(f"none of the {len(not_loaded)} scenarios can be loaded")
-    tasks = [Task(w.choice.name, w.choice.family, w.scenario, tuple(planners), tree, w.traffic) for w in worlds]
+    tasks = [
+        Task(w.choice.name, w.choice.family, w.scenario, tuple(planners), tree, w.traffic, w.recorded_s) for w in worlds
+    ]
     known = [done.of(task.name, planners) for task in tasks]
     found = {i: entries for i, entries in enumerate(known) if len(entries) == len(planners)}
     todo = [i for i in range(len(tasks)) if i not in found]

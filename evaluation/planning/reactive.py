@@ -40,9 +40,9 @@ CHANGE_S = 3.5
 """Duration of a lane change."""
 
 
-def traffic(scenario: Scenario, kind: Kind) -> Traffic:
-    """The others of a scenario, as asked for."""
-    return Reactive(scenario) if kind == "reactive" else Replay(scenario)
+def traffic(scenario: Scenario, kind: Kind, recorded_s: float = math.inf) -> Traffic:
+    """The others of a scenario, as asked for; what lies beyond `recorded_s` of it was made up [s]."""
+    return Reactive(scenario, recorded_s) if kind == "reactive" else Replay(scenario)
 
 
 @dataclass
@@ -52,6 +52,7 @@ class _User:
     track: Track
     s: F64  # arc length at each row of the record [m]
     velocity: F64  # recorded [k, 2]
+    recorded: float = math.inf  # the last row that was recorded; what comes after it was made up
     row: float = 0.0  # where on the record he is, in frames
     speed: float = 0.0
     delayed: bool = False
@@ -63,9 +64,10 @@ class _User:
     _ahead: tuple[int, Polyline] | None = field(default=None, repr=False)
 
     @staticmethod
-    def of(track: Track) -> _User:
+    def of(track: Track, recorded_s: float = math.inf) -> _User:
         step = np.hypot(np.diff(track.x), np.diff(track.y))
-        return _User(track, np.concatenate(([0.0], np.cumsum(step))), track.velocity)
+        recorded = recorded_s / FRAME_S - track.frame0
+        return _User(track, np.concatenate(([0.0], np.cumsum(step))), track.velocity, recorded)
 
     def at(self, row: float) -> tuple[float, float, float, float]:
         """x, y, heading, s at a row of the record."""
@@ -116,10 +118,10 @@ class _User:
 class Reactive:
     """The others of one drive, advanced in steps of 0.1 s."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, recorded_s: float = math.inf) -> None:
         self._scenario = scenario
         tracks = [k for k in scenario.tracks if k.last >= 1]
-        self._users = [_User.of(k) for k in tracks]
+        self._users = [_User.of(k, recorded_s) for k in tracks]
         self._lanes = _lanes(scenario)
         self._centres = {lane.id: centre for lane, centre in self._lanes}
         self._frame = 0
@@ -198,6 +200,8 @@ class Reactive:
         users = [u for u in self._users if self._present(u, self._frame)]
         self._before = {i: (p[0], p[1]) for i, p in self._past.items()} if self._frame else self._rows_before()
         self._past = self._positions()
+        for u in users:
+            u.delayed = u.delayed or u.row > u.recorded  # whom no record tells where the others are must look
         looking = self._who_looks(users, ego)
         plans = {u.track.id: self._acceleration(u, users, ego) for u in looking}
         for u in self._users:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +29,8 @@ class Task:
     planners: tuple[str, ...]
     tree: Tree
     traffic: Kind
+    recorded_s: float = math.inf
+    """From then on the others' motion is made up [s]."""
 
 
 def run(task: Task) -> dict[str, dict[str, Any]]:
@@ -58,7 +61,7 @@ def run(task: Task) -> dict[str, dict[str, Any]]:
 
 def _drive(task: Task, who: Cores | Alone) -> tuple[DriveResult, Recorder]:
     record = Recorder()
-    others = traffic(task.scenario, task.traffic)
+    others = traffic(task.scenario, task.traffic, task.recorded_s)
     return drive(task.scenario, task.tree, cores=who, traffic=others, watch=record), record
 
 

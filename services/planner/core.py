@@ -199,7 +199,7 @@ def _preparing(route: Route, road: Map) -> Work[Road]:
         lanes,
         route.speed_limit if route.speed_limit > 0 else np.inf,
         route.goal,
-        reference.project(route.goal.x, route.goal.y, float(reference.heading[-1]))[0],
+        *reference.project(route.goal.x, route.goal.y, float(reference.heading[-1])),
     )
 
 

@@ -19,11 +19,20 @@ from services.planner.algorithm import (
 from services.planner.bezier import Paths, Start, Target, build_paths, frenet_start
 from services.planner.decision import Obstruction, explain, explain_cap, verb
 from services.planner.footprint import Footprint, PathRisk, path_risk
+from services.planner.goal import goal_cost
 from services.planner.lanes import RouteLanes
 from services.planner.pushers import pushers, without
 from services.planner.reference import ReferenceLine
 from services.planner.rollout import DT, FAILURES, Field, Rollouts, Tier, hardest_brake, roll_out
-from services.planner.search import REFERENCE, full_brake, lane_centre_distance, path_cost, search, track_name
+from services.planner.search import (
+    REFERENCE,
+    full_brake,
+    lane_centre_distance,
+    path_cost,
+    search,
+    track_index,
+    track_name,
+)
 from services.planner.settings import PlannerSettings
 from services.planner.speed import CAUSES, Cap, brake_before, curve_speed, stop_at
 from services.planner.stopping import stopping_tail
@@ -45,6 +54,7 @@ class Road:
     route_limit: float  # highest wanted speed of the route; inf: none [m/s]
     goal: Goal
     goal_s: float  # where on the reference line the ego's centre reaches the goal [m]
+    goal_d: float = 0.0  # and how far to its left the goal lies [m]
 
 
 @dataclass(frozen=True)
@@ -86,6 +96,7 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     )  # fmt: skip
     committed = np.arange(len(paths.target)) >= look.fresh
     cost = path_cost(paths, scene.road.lanes, look.footprint.half_width, previous, committed, settings)
+    cost += goal_cost(paths, scene.road.lanes, _tracks_of(paths), _goal(scene), start.speed, settings)
     verdict = search(field, start, settings, cost, lambda rest: lane_centre_distance(paths, scene.road.lanes, rest))
 
     # what curves allow within 3 s counts as much as what risk allows; but nobody cuts corners to be faster in them
@@ -330,8 +341,21 @@ def _cap(scene: Scene, paths: Paths, known: F64, footprint: Footprint, settings:
     # the end of what is known: of the line, of the grid, of what can be steered
     end = np.minimum(way_to(road.reference.length - half), np.where(paths.end < last, paths.end, 1e6))
     end = np.minimum(end, np.where(known < last, known, 1e6))
+    # and of the road, before which the front bumper stays
+    end = np.minimum(end, way_to(road.lanes.end - half - 0.5 * scene.ego.length))
     horizon = stop_at(end, stations, settings.horizon_brake)
     return Cap.of([limit, curve, goal, horizon])
+
+
+def _tracks_of(paths: Paths) -> npt.NDArray[np.intp]:
+    """Which of the road's tracks each path follows; −1: none [n]."""
+    return np.array([track_index(name) for name in paths.target], dtype=np.intp)
+
+
+def _goal(scene: Scene) -> tuple[float, float, float]:
+    """(s, d, radius) of the goal for the rear axle [m]."""
+    road = scene.road
+    return road.goal_s - 0.5 * scene.ego.wheelbase, road.goal_d, road.goal.radius
 
 
 def _squeeze(look: _Sampled, start: Start) -> F64:

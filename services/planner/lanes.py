@@ -57,6 +57,12 @@ class RouteLanes:
     left: Neighbour
     right: Neighbour
     tracks: tuple[Track, ...] = ()
+    end: float = np.inf  # where the lanes under the reference line end, or run against it; inf: not before the line [m]
+
+    @property
+    def stations(self) -> F64:
+        """Arc lengths of the stations [m]."""
+        return np.asarray(SPACING * np.arange(len(self.limit)), dtype=np.float64)
 
     @staticmethod
     def of(reference: ReferenceLine, route: Route, road: Map) -> RouteLanes:
@@ -102,6 +108,7 @@ class RouteLanes:
             (yield from _neighbour(lines, lanes, own, by_id, "left")),
             (yield from _neighbour(lines, lanes, own, by_id, "right")),
             (yield from _tracks(lines, road.lanes)),
+            (yield from _end(lines, own >= 0, road.lanes)),
         )
 
     def index(self, s: npt.ArrayLike) -> npt.NDArray[np.intp]:
@@ -109,6 +116,21 @@ class RouteLanes:
         return np.asarray(
             np.minimum(np.maximum(np.rint(np.asarray(s) / SPACING).astype(np.intp), 0), len(self.limit) - 1)
         )
+
+
+_GAP = 5.0  # m; what lies nearer to the line's own end is no end of the road
+
+
+def _end(lines: Projections, mapped: npt.NDArray[np.bool_], lanes: list[Lane]) -> Work[float]:
+    """Where the road under the reference line ends [m]: beyond its last lane, or where lanes run against it.
+
+    Without any lane there, the map is silent and the line is believed.
+    """
+    if mapped.any():
+        last = float(lines.stations[np.flatnonzero(mapped)[-1]])
+        return last if last < lines.stations[-1] - _GAP else np.inf
+    against = yield from lines.against(lanes, _UNDER)
+    return min(against, default=np.inf)
 
 
 _BESIDE = 9.0  # m; tracks further away are of no use

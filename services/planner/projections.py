@@ -105,6 +105,23 @@ class Projections:
             yield 1
         return kept
 
+    def against(self, lanes: list[Lane], reach: float) -> Work[list[float]]:
+        """Where lanes within `reach` of the reference line run against it: the first place of each [m]."""
+        near = yield from self.near(lanes, reach)
+        yield from self.add(lane.centre for lane in near)
+        found = []
+        for lane in near:
+            known = self._known[id(lane.centre)]
+            if isinstance(known, _Projected):
+                inside = (known.s >= 0.0) & (known.s <= self._reference.length) & (np.abs(known.d) < reach)
+                if inside.any():
+                    way = self._reference.at(known.s[inside]).heading
+                    turned = np.abs(wrap_angle(known.line.heading(known.line.s[inside]) - way))
+                    if float(np.median(turned)) > np.pi - _SAME_WAY:
+                        found.append(float(known.s[inside].min()))
+            yield 1
+        return found
+
     def near(self, lanes: list[Lane], reach: float) -> Work[list[Lane]]:
         """Lanes that boxes cannot tell to lie further than `reach` [m]; none that does is left out.
 

@@ -241,6 +241,11 @@ def track_name(index: int) -> str:
     return f"{_LANE}{index}"
 
 
+def track_index(name: str) -> int:
+    """Index of the track of that name; −1: no track's."""
+    return int(name.removeprefix(_LANE)) if name.startswith(_LANE) else -1
+
+
 REFERENCE = "reference"
 """Name of the target that is the reference line itself."""
 
