@@ -20,7 +20,7 @@ from rig.world import Scenario, Track
 
 SHARE = 0.5
 """Of the recorded time, on top of it."""
-AT_LEAST_S = 5.0
+AT_LEAST_S = 10.0
 CUT_FRAMES = 2
 """A record that ends within so many frames of the whole one was cut off."""
 STANDS = 0.3

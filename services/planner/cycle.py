@@ -45,6 +45,10 @@ _LEAVES = 0.6
 """A path whose offset changes by more than this leaves where the ego drives [m]."""
 
 
+_SLOW, _GAIN = 10.0, 5.0
+"""A path counts as no faster than so much above the speed now, or above `_SLOW`: none is reached at once [m/s]."""
+
+
 @dataclass(frozen=True)
 class Road:
     """What stays the same while route and map do."""
@@ -83,6 +87,7 @@ class _Sampled:
     cap: Cap
     s_max: F64  # [n]
     volume: Volume
+    road_end: F64  # how far the front may go until no lane is there [n] [m]
 
 
 def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]:
@@ -103,7 +108,9 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     near = paths.stations[None] <= 3.0 * np.maximum(verdict.desired, start.speed)[:, None] + 1.0
     curve = np.where(near & (look.cap.cause != CAUSES.index("limit")), look.cap.speed, np.inf).min(axis=1)
     curve = np.minimum(curve, curve[0])
-    score = np.minimum(verdict.desired, curve) - settings.tier_cost * verdict.tier - verdict.penalty - cost
+    soon = max(start.speed, _SLOW) + _GAIN
+    score = np.minimum(np.minimum(verdict.desired, curve), soon)
+    score = score - settings.tier_cost * verdict.tier - verdict.penalty - cost
     if (verdict.tier > 1).any():
         score -= np.where(verdict.tier > 1, settings.squeeze_cost * _squeeze(look, start), 0.0)
     score = np.where(verdict.passed, score, -1e3 - cost)
@@ -211,9 +218,14 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
         r0=settings.r0,
     )
     risk = without(risk, _pushers(scene, paths, footprint, moved, settings), ~leaves)
-    cap = _cap(scene, paths, risk.known, footprint, settings)
+    road_end = _road_end(scene, paths)
+    cap = _cap(scene, paths, risk.known, road_end, settings)
+    # who is there already is not stopped harder than need be
+    paths = replace(paths, end=np.where(road_end > 0.0, np.minimum(paths.end, road_end), paths.end))
     fresh = len(targets) - len(targets) % len(settings.lengths)
-    return _Sampled(frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max), scene.volume)
+    return _Sampled(
+        frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max), scene.volume, road_end
+    )
 
 
 def _beside_lane(lanes: RouteLanes, paths: Paths) -> F64:
@@ -317,33 +329,54 @@ def _near_tracks(lanes: RouteLanes, s: float, d: float, longest: float) -> list[
     return [k for _, k in sorted(found)[:_TRACKS]]
 
 
-def _cap(scene: Scene, paths: Paths, known: F64, footprint: Footprint, settings: PlannerSettings) -> Cap:
+_END_BRAKE = 1.3
+"""With which the ego stops before the road ends [m/s²]."""
+
+
+def _way_to(paths: Paths, s: float) -> F64:
+    """Distance along each path to where it passes s of the reference line; far if it does not [n] [m]."""
+    beyond = paths.s >= s
+    i = np.argmax(beyond, axis=1)
+    rows = np.arange(len(i))
+    before = np.maximum(i - 1, 0)
+    a, b = paths.s[rows, before], paths.s[rows, i]
+    w = np.clip((s - a) / np.maximum(b - a, 1e-9), 0.0, 1.0)
+    return np.where(beyond.any(axis=1), paths.step * (before + w * (i > 0)), 1e6)
+
+
+def _road_end(scene: Scene, paths: Paths) -> F64:
+    """How far each path may be driven until the front bumper is where the lanes end [n] [m]; far: no end in sight.
+
+    A path through a goal that is driven through is not slowed for what lies beyond: there the drive is over.
+    """
+    road, half = scene.road, 0.5 * scene.ego.wheelbase
+    if not np.isfinite(road.lanes.end):
+        return np.full(len(paths.x), 1e6)
+    end = _way_to(paths, road.lanes.end - half - 0.5 * scene.ego.length)
+    goal_s, goal_d, radius = _goal(scene)
+    if road.goal.stop or not paths.s[0, 0] < goal_s < road.lanes.end:
+        return end
+    at = np.argmax(paths.s >= goal_s, axis=1)
+    there = np.where((paths.s >= goal_s).any(axis=1), at, paths.s.shape[1] - 1)
+    through = np.abs(paths.d[np.arange(len(at)), there] - goal_d) <= radius
+    return np.where(through, 1e6, end)
+
+
+def _cap(scene: Scene, paths: Paths, known: F64, road_end: F64, settings: PlannerSettings) -> Cap:
     road, half = scene.road, 0.5 * scene.ego.wheelbase
     limit = np.minimum(road.lanes.limit[road.lanes.index(paths.s)], min(road.route_limit, settings.max_speed))
     curve = curve_speed(paths.curvature, paths.step, settings.lateral_accel, settings.max_curvature_rate)
     limit = brake_before(limit, paths.step, settings.curve_brake)
     curve = brake_before(np.minimum(curve, 1e3), paths.step, settings.curve_brake)
     stations, last = paths.stations, paths.step * (paths.x.shape[1] - 1)
-
-    def way_to(s: float) -> F64:
-        """Distance along each path to where it passes s of the reference line; far if it does not."""
-        beyond = paths.s >= s
-        i = np.argmax(beyond, axis=1)
-        rows = np.arange(len(i))
-        before = np.maximum(i - 1, 0)
-        a, b = paths.s[rows, before], paths.s[rows, i]
-        w = np.clip((s - a) / np.maximum(b - a, 1e-9), 0.0, 1.0)
-        return np.where(beyond.any(axis=1), paths.step * (before + w * (i > 0)), 1e6)
-
     goal = np.full_like(limit, np.inf)
     if road.goal.stop:
-        goal = stop_at(way_to(road.goal_s - half), stations, settings.curve_brake)
+        goal = stop_at(_way_to(paths, road.goal_s - half), stations, settings.curve_brake)
     # the end of what is known: of the line, of the grid, of what can be steered
-    end = np.minimum(way_to(road.reference.length - half), np.where(paths.end < last, paths.end, 1e6))
+    end = np.minimum(_way_to(paths, road.reference.length - half), np.where(paths.end < last, paths.end, 1e6))
     end = np.minimum(end, np.where(known < last, known, 1e6))
-    # and of the road, before which the front bumper stays
-    end = np.minimum(end, way_to(road.lanes.end - half - 0.5 * scene.ego.length))
     horizon = stop_at(end, stations, settings.horizon_brake)
+    horizon = np.minimum(horizon, stop_at(road_end, stations, _END_BRAKE))
     return Cap.of([limit, curve, goal, horizon])
 
 
@@ -403,7 +436,8 @@ def _decide(
         return _decide_cap(look, chosen, target, speed)
     kind = FAILURES[failure]
     if kind in ("tight", "swerve"):
-        return explain_cap(target, speed, "curve", distance)
+        ends = kind == "tight" and look.paths.end[chosen] >= look.road_end[chosen]
+        return explain_cap(target, speed, "horizon" if ends else "curve", distance)
     j = int(volume.slice_at(at * DT))
     i = min(int(distance / paths.step), field.points - 1)
     if kind == "law":

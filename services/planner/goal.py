@@ -20,7 +20,7 @@ _LANE = 3.5  # m
 _INSIDE = 0.4  # m; so much nearer than the goal's radius it is to be passed
 _BEGIN_S, _CHANGE_S = 2.0, 4.0  # to begin a change, and for each lane [s]
 _SLOW = 2.5  # m/s; who creeps is not hurried
-_MOST = 1.5  # ratio beyond which nothing gets dearer
+_MOST = 1.25  # ratio beyond which nothing gets dearer
 
 
 def _wanted(lanes: RouteLanes, track: int, goal: tuple[float, float, float]) -> tuple[float, float, float]:
