@@ -23,14 +23,6 @@ _SLOW = 2.5  # m/s; who creeps is not hurried
 _MOST = 1.25  # ratio beyond which nothing gets dearer
 
 
-def _wanted(lanes: RouteLanes, track: int, goal: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Until where [m] and how far from which offset, at the most, who follows a track must be [m]."""
-    goal_s, goal_d, radius = goal
-    ends = float(lanes.stations[lanes.tracks[track].last])
-    # a lane that ends first: the route's must be reached
-    return (ends, 0.0, 1.0) if ends < goal_s - 1.0 else (goal_s, goal_d, max(radius - _INSIDE, 0.3))
-
-
 def goal_cost(
     paths: Paths,
     lanes: RouteLanes,
@@ -55,13 +47,13 @@ def goal_cost(
     end = np.minimum(np.searchsorted(paths.s[0] - here, paths.length), p - 1)
     reached = np.minimum(end, np.argmax(paths.s >= goal_s, axis=1) + (p - 1) * ~(paths.s >= goal_s).any(axis=1))
     at = paths.d[np.arange(n), reached]
-    until, want, near = np.full(n, goal_s), np.full(n, goal_d), np.full(n, max(radius - _INSIDE, 0.3))
+    away = np.maximum(np.abs(at - goal_d) - max(radius - _INSIDE, 0.3), 0.0)
     for k in np.unique(tracks[tracks >= 0]):
-        mine = tracks == k
-        until[mine], want[mine], near[mine] = _wanted(lanes, int(k), goal)
-        at[mine] = lanes.tracks[k].centre[lanes.index(until[mine][0])]
-    away = np.maximum(np.abs(at - want) - near, 0.0)
-    left = until - here
+        mine, track = tracks == k, lanes.tracks[k]
+        # a lane that ends before the goal is left for its end's sake, not for the goal's
+        past = abs(float(track.centre[lanes.index(goal_s)]) - goal_d) - max(radius - _INSIDE, 0.3)
+        away[mine] = max(past, 0.0) if lanes.stations[track.last] >= goal_s - 1.0 else 0.0
+    left = goal_s - here
     takes = np.where(away > 0.0, _BEGIN_S + _CHANGE_S * away / _LANE, 0.0)
-    ratio = np.clip(takes * max(speed, _SLOW) / np.maximum(left, 1e-3), 0.0, _MOST)
-    return np.where(left > 0.0, settings.goal_cost * ratio**2, 0.0)
+    ratio = np.clip(takes * max(speed, _SLOW) / max(left, 1e-3), 0.0, _MOST)
+    return settings.goal_cost * ratio**2 if left > 0.0 else np.zeros(n)

@@ -76,7 +76,7 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     length_cost: NotNegative = 0.05  # shortest length, falling to 0 for the longest
     change_cost: NotNegative = 1.2  # hysteresis: quite another target than the one before, unless the reference line
     stay_cost: NotNegative = 0.8  # going on in the lane in which the ego is where the route leaves it
-    goal_cost: NotNegative = 6.0  # a path past the goal, where changing to it takes all the time that is left
+    goal_cost: NotNegative = 4.0  # a path past the goal, where changing to it takes all the time that is left
     neighbour_cost: NotNegative = 0.5  # leaving the own lane for one of the same direction
     unknown_side_cost: NotNegative = 1.5  # leaving it where no map tells what is there
     oncoming_cost: NotNegative = 4.0  # leaving it for one of the opposite direction
