@@ -60,7 +60,7 @@ def eval_planning(
     ] = None,
     traffic: Annotated[
         Literal["replay", "reactive"] | None,
-        typer.Option("--traffic", help="How the others move; default: reactive in named scenarios, as recorded else."),
+        typer.Option("--traffic", help="How the others move; default: reactive, but for the two crossings."),
     ] = None,
     jobs: Annotated[int, typer.Option("--jobs", help="Processes on this machine.", min=1, max=256)] = 1,
     cluster: Annotated[
