@@ -15,7 +15,6 @@ OPEN = {
     "double_parked": "waits behind the standing car for good, too near to get round it",
     "narrow_street": "does not pass between a parked car and an open door 2.8 m apart",
     "cut_in": "comes within 0.4 m of the car that cuts in",
-    "truck_adjacent": "slows down by 23 %, the paper by 5 to 15 %",
 }
 """What the default planner does not master yet (docs/planning.md)."""
 NAMES = sorted(builtin_scenarios())
