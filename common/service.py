@@ -25,7 +25,7 @@ from common.codec import RefusedError
 from common.config import ConfigError, Tree
 from common.health import Health
 from common.messages import Cause, Message, Stamped, State, StepInputs, Used
-from common.process import Ending, ServiceSettings, reporting
+from common.process import Ending, ServiceSettings, leave, reporting
 from common.rhythm import Rhythm, sooner_ns
 from common.topics import STATUS_OF, Topic
 
@@ -122,12 +122,18 @@ class Service:
 
 
 def main(service: Service) -> int:
-    """Run a service as a process; returns its exit code: 0 stopped, 1 fatal, 2 bad configuration."""
+    """Run a service as a process and end it: 0 stopped, 1 fatal, 2 bad configuration.
+
+    Returns its exit code only where the process must still clear up: bad configuration, Zenoh's shared memory.
+    """
     try:
         tree = config.load()
         settings = config.section(tree, "service", ServiceSettings)
         logs.begin(service.name, settings.log_level, settings.log_format)
-        return run(service, tree, settings)
+        code = run(service, tree, settings)
+        if not config.section(tree, "bus", BusSettings).shared_memory:  # Zenoh removes its files when we exit in full
+            leave(code)
+        return code
     except NoRouterError as e:
         log.info("stopped: %s", e)
         return 0

@@ -6,6 +6,7 @@ four periods, −5 is answered with 5 too late, and with 6 by who knows that it 
 
 from __future__ import annotations
 
+import atexit
 import time
 
 import numpy as np
