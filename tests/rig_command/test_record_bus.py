@@ -30,13 +30,18 @@ def test_a_run_hands_its_bus_to_the_recorder(tmp_path: Path, monkeypatch: pytest
             reached = configuration.with_keys(tree, "bus", connect=[endpoint])
             with beside(reached), open_bus(config.section(reached, "bus", BusSettings), "ego", "rig") as bus:
                 ego = bus.publisher(topics.EGO)
-                until(lambda: ego._raw.matching_status.matching, what="the recorder")
-                ego.put(samples.ego(x=4.0), capture_ns=monotonic())
+                begun = file.stat().st_size
+
+                def written() -> bool:  # what is on the way when all ends may be lost
+                    ego.put(samples.ego(x=4.0), capture_ns=monotonic())
+                    return file.stat().st_size > begun
+
+                until(written, within_s=30, every_s=0.1, what="a message in the file")
             done({"outcome": "completed"})
 
+    file = tmp_path / "drive.mcap"
     monkeypatch.setattr(session, "play", play)
     monkeypatch.setattr(application, "_conclude", lambda *_: None)
-    file = tmp_path / "drive.mcap"
     result = CliRunner().invoke(
         app, ["run", "--scenario", "straight", "--record-bus", str(file), "--set", "rig.run_up_s=0.8"]
     )
