@@ -25,6 +25,7 @@ def build(tree: Tree, health: Health) -> Step:
     if tree.get("predictor"):
         raise ValueError("a mistake of ours, not of the configuration")
 
+    atexit.register(time.sleep, 30.0)  # as long as it likes: a service that was asked to end does not wait for it
     ends: dict[int, int] = {}
 
     def step(inputs: Inputs) -> Output | Idle:
