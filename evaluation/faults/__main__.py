@@ -130,7 +130,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _keep(options: argparse.Namespace, entries: list[Entry]) -> None:
-    """After every row, so that a run that is ended keeps what it has."""
+    """After every row, so that a run that is ended keeps what it has; of the smallest counts nothing is kept."""
+    if options.smoke:
+        return
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(to_json(entries))
