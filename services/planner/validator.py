@@ -37,10 +37,11 @@ def validate(plan: Plan, ego: Ego, volume: Volume | None, settings: PlannerSetti
         return problem
     footprint = Footprint.of(ego, settings.footprint_spacing, settings.flank_margin)
     met = trajectory_risk(profile, volume, footprint, ego)
-    start_risk = float(met[0][0])
+    start_risk, start_known = float(met[0][0]), bool(met[1][0])
     for name, part in (("profile", profile), ("tail", tail)):
         found = met if part is profile else trajectory_risk(part, volume, footprint, ego)
-        problem = _risk_problem(part, found, ego, volume, footprint, start_risk, settings, tail=part is tail)
+        stops_within = part is tail and start_known  # who is already off the grid can only come back
+        problem = _risk_problem(part, found, ego, volume, footprint, start_risk, settings, stops_within)
         if problem:
             return f"{name}: {problem}"
     return ""
@@ -130,10 +131,9 @@ def _risk_problem(
     footprint: Footprint,
     start_risk: float,
     settings: PlannerSettings,
-    *,
-    tail: bool,
+    stops_within: bool,
 ) -> str:
-    """What is wrong with a part that has `met` this (see `trajectory_risk`)."""
+    """What is wrong with a part that has `met` this (see `trajectory_risk`); `stops_within` the grid it must."""
     risk, known = met
     moving = part.speed > 0.05
     bound = contact_bound(start_risk, settings)
@@ -147,7 +147,7 @@ def _risk_problem(
     if bad.any() and not braking:
         i = int(np.argmax(bad))
         return f"meets risk {risk[i]:.2f} at {part.t[i]:.1f} s, contact is {settings.r_hit:.2f}"
-    if tail and (moving & ~known).any() and known[0] and not braking:
+    if stops_within and (moving & ~known).any() and not braking:
         return "it runs beyond the grid before it stands"
     return ""
 

@@ -313,7 +313,8 @@ def test_what_stands_is_no_motion_into_contact() -> None:
 def test_the_tail_may_not_run_beyond_the_grid_before_it_stands() -> None:
     plan = plan_of(moved(np.full(4, 10.0)))
     assert said(plan, volume=volume_of(ahead=40.0)) == ""
-    assert said(plan, volume=volume_of(ahead=20.0)) == "tail: it runs beyond the grid before it stands"
+    for ahead in (20.0, 6.0, 4.0, 3.0):  # at 4 m the tail begins beyond it, at 3 m the ego's nose is just within
+        assert said(plan, volume=volume_of(ahead=ahead)) == "tail: it runs beyond the grid before it stands"
     # the profile alone may: it is driven for 0.3 s
     long = plan_of(STEADY, plan.tail)
     assert said(long, volume=volume_of(ahead=35.0)) == ""
