@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 import tempfile
@@ -213,7 +214,10 @@ def stack(
     Raises:
         FaultError: it did not come up.
     """
-    sys.setswitchinterval(0.001)  # what arrives is stamped in Zenoh's threads: they must not wait for others here
+    # what arrives is stamped in Zenoh's threads: they must not wait for others here, nor for a collection of garbage
+    sys.setswitchinterval(0.001)
+    gc.collect()
+    gc.freeze()
     port = free_port()
     base = with_settings(
         resolve({"vehicle": VEHICLE, "service": {"status_hz": STATUS_HZ}}),
