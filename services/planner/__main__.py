@@ -1,7 +1,7 @@
 """The planner as a process: ego, map, route and risk in, plan out, 20 times a second whatever arrives.
 
 It steps when new risk arrives and 50 ms after its last step otherwise; a step that would fall just before the next risk
-waits for it (10 ms at most). When the risk or the ego in use becomes too old it steps at that very moment.
+waits for it (7 ms at most). When the risk or the ego in use becomes too old it steps at that very moment.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SERVICE = Service(
     publishes=topics.PLAN,
     trigger=topics.RISK,
     period_s=0.05,
-    grace_s=0.01,  # no step is begun just before the next risk arrives
+    grace_s=0.007,  # no step is begun just before the next risk arrives
     build=build,
 )
 
