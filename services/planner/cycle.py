@@ -247,6 +247,10 @@ def _pushers(scene: Scene, paths: Paths, footprint: Footprint, moved: F64, setti
     return pushers(scene.volume, footprint, x, y, heading, t, settings.r_hit)
 
 
+_CREEP = 0.01
+"""So much more may somebody beside press in from plan to plan [E_max]: what is drifted into is not let be."""
+
+
 def _footprint(scene: Scene, settings: PlannerSettings) -> Footprint:
     """The outline; who is beside or behind nearer than touching already may stay so near, for braking frees nobody."""
     start = scene.start
@@ -256,6 +260,8 @@ def _footprint(scene: Scene, settings: PlannerSettings) -> Footprint:
     now = scene.volume.sample_at(x, y, np.zeros(1, dtype=np.intp))[0].astype(np.float64)
     beside = footprint.margin > 0.0
     worst = float(np.max(now, initial=0.0, where=beside)) + 0.05 - settings.r_hit
+    if scene.memory is not None:
+        worst = min(worst, max(scene.memory.margin, settings.flank_margin) + _CREEP)
     return replace(footprint, margin=np.where(beside, np.maximum(footprint.margin, worst), 0.0))
 
 
@@ -531,6 +537,7 @@ def _finish(
         float(target),
         float(paths.length[chosen]),
         look.frenet[0],
+        float(look.footprint.margin.max()),
     )
     return plan, memory
 
