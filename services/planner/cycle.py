@@ -87,6 +87,7 @@ class _Sampled:
     cap: Cap
     s_max: F64  # [n]
     volume: Volume
+    moved: F64  # how far paths leave the lane in which they begin [n] [m]
     road_end: F64  # how far the front may go until no lane is there [n] [m]
 
 
@@ -136,7 +137,7 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
             motion = Motion(r.t, r.distance[0], r.speed[0], r.acceleration[0])
         failure, at, distance = verdict.failure[chosen], verdict.failed_at[chosen], verdict.failed_distance[chosen]
     else:
-        chosen, rollouts = full_brake(field, start, settings)
+        chosen, rollouts = full_brake(field, start, settings, look.moved)
         target = 0.0
         motion = Motion(rollouts.t, rollouts.distance[chosen], rollouts.speed[chosen], rollouts.acceleration[chosen])
         failure, at = rollouts.failure[chosen], rollouts.failed_at[chosen]
@@ -224,7 +225,7 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
     paths = replace(paths, end=np.where(road_end > 0.0, np.minimum(paths.end, road_end), paths.end))
     fresh = len(targets) - len(targets) % len(settings.lengths)
     return _Sampled(
-        frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max), scene.volume, road_end
+        frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max), scene.volume, moved, road_end
     )
 
 

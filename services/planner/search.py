@@ -15,7 +15,7 @@ import numpy.typing as npt
 from services.planner.backend import kernels
 from services.planner.bezier import Paths, Start
 from services.planner.lanes import Neighbour, RouteLanes
-from services.planner.rollout import Field, Rollouts, Tier, constants, roll_out
+from services.planner.rollout import DT, Field, Rollouts, Tier, constants, roll_out
 from services.planner.settings import PlannerSettings
 
 F64 = npt.NDArray[np.float64]
@@ -86,13 +86,26 @@ def search(
     return verdict
 
 
-def full_brake(field: Field, start: Start, settings: PlannerSettings) -> tuple[int, Rollouts]:
-    """Nothing passes: brake with all there is, on the path that meets something last."""
+_SWERVE_GAIN_S = 0.5
+"""A slice: what is met sooner by less than this is not known to be met sooner [s]."""
+
+
+def full_brake(field: Field, start: Start, settings: PlannerSettings, moved: F64) -> tuple[int, Rollouts]:
+    """Nothing passes: brake with all there is, on the path that meets something last (see `last_to_meet`)."""
     n = len(field.s_max)
     emergency = Tier.all(settings)[-1]
     rollouts = roll_out(field, start, np.arange(n), np.zeros(n), np.zeros(n), emergency, settings)
-    time_to_hit = np.where(rollouts.passed, len(rollouts.t) + 1, rollouts.failed_at)
-    return int(np.argmax(time_to_hit)), rollouts
+    return last_to_meet(np.where(rollouts.passed, len(rollouts.t) + 1, rollouts.failed_at), moved), rollouts
+
+
+def last_to_meet(steps: Ints, moved: F64) -> int:
+    """The path that meets something last, in `steps` of DT [n].
+
+    Of those that differ by no more than a slice it is the one that moves least to the side, `moved` [n] [m]: whoever
+    brakes for somebody in vain has then not swerved into somebody else.
+    """
+    sooner = steps < steps.max() - round(_SWERVE_GAIN_S / DT)
+    return int(np.lexsort((-steps, np.round(moved, 1), sooner))[0])
 
 
 def highest(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from services.planner.bezier import Start
 from services.planner.footprint import PathRisk
 from services.planner.rollout import Field, Rollouts, Tier, roll_out
-from services.planner.search import search
+from services.planner.search import last_to_meet, search
 from services.planner.settings import PlannerSettings
 from services.planner.speed import Cap, speed_law
 from services.planner.volume import Volume
@@ -113,3 +113,17 @@ def test_rollouts_keep_the_limits_of_their_tier(
 def test_the_speed_law_falls(a: float, b: float):
     low, high = speed_law(np.array([max(a, b), min(a, b)]), 14.0, 0.2, 0.9)
     assert 0.0 <= low <= high <= 14.0
+
+
+@given(
+    steps=st.lists(st.integers(1, 62), min_size=1, max_size=40),
+    moved=st.lists(st.floats(0.0, 12.0), min_size=40, max_size=40),
+)
+def test_who_can_only_brake_does_not_swerve_for_less_than_a_slice(steps: list[int], moved: list[float]) -> None:
+    when, side = np.array(steps), np.array(moved[: len(steps)])
+    chosen = last_to_meet(when, side)
+    assert when[chosen] >= when.max() - 5
+    as_late = when >= when.max() - 5
+    assert side[chosen] <= side[as_late].min() + 0.1
+    assert last_to_meet(np.array([10, 15, 16]), np.array([0.0, 3.2, 8.0])) == 1  # more than a slice is worth it
+    assert last_to_meet(np.array([11, 16, 16]), np.array([0.0, 3.2, 8.0])) == 0
