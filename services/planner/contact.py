@@ -38,6 +38,14 @@ class Contact:
     rate: F64  # how fast it moves along the path, 0 where it is not known to move steadily [n, S, p] [m/s]
     away: F64  # u ≥ 0: how fast it moves away [n, S, p] [m/s]
 
+    def closing(self, ahead_s: float) -> Contact:
+        """The same, but who comes towards the ego when the volume ends is in its last slice so much further on."""
+        if self.distance.shape[1] < 2 or ahead_s <= 0.0:
+            return self
+        distance, came = self.distance.copy(), np.minimum(self.rate[:, -2], 0.0)
+        distance[:, -1] += ahead_s * came
+        return Contact(distance, self.rate, self.away)
+
     @staticmethod
     def of(risk: F32, who: U8 | None, starts: F64, r_hit: float, step: float, *, reference: bool = False) -> Contact:
         """Find it in the risk of contact [n, S, p] of the sources `who`, slices starting at [S]; else NumPy alone."""

@@ -21,6 +21,7 @@ from services.planner.decision import Obstruction, explain, explain_cap, verb
 from services.planner.footprint import Footprint, PathRisk, path_risk
 from services.planner.goal import goal_cost
 from services.planner.lanes import RouteLanes
+from services.planner.passing import LEAST, Blocked, blocked_by, in_view, patience, priced, waiting_gap
 from services.planner.pushers import pushers, without
 from services.planner.reference import ReferenceLine
 from services.planner.rollout import DT, FAILURES, Field, Rollouts, Tier, hardest_brake, roll_out
@@ -41,6 +42,7 @@ from services.planner.volume import Volume
 
 F64 = npt.NDArray[np.float64]
 
+_ROUND = 1.2  # m; who moves so far to the side goes round what stands in the lane
 _LEAVES = 0.6
 """A path whose offset changes by more than this leaves where the ego drives [m]."""
 
@@ -96,12 +98,16 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     previous = scene.memory.target_name if scene.memory is not None else ""
     look = _sample(scene, settings)
     start, paths = scene.start, look.paths
+    stands = blocked_by(paths, scene.road.lanes, look.risk, scene.volume, look.footprint, settings)
+    share = _patience(scene, stands, settings)
     field = Field.of(
         look.risk, scene.volume, look.cap, paths.end, look.s_max, paths.step, settings, paths.curvature,
-        hardest_brake(start, settings),
+        hardest_brake(start, settings), waiting_gap(stands, start.speed, settings),
     )  # fmt: skip
     committed = np.arange(len(paths.target)) >= look.fresh
-    cost = path_cost(paths, scene.road.lanes, look.footprint.half_width, previous, committed, settings)
+    cost = path_cost(
+        paths, scene.road.lanes, look.footprint.half_width, previous, committed, priced(settings, stands, share)
+    )
     cost += goal_cost(paths, scene.road.lanes, _tracks_of(paths), _goal(scene), start.speed, settings)
     verdict = search(field, start, settings, cost, lambda rest: lane_centre_distance(paths, scene.road.lanes, rest))
 
@@ -110,7 +116,8 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     curve = np.where(near & (look.cap.cause != CAUSES.index("limit")), look.cap.speed, np.inf).min(axis=1)
     curve = np.minimum(curve, curve[0])
     soon = max(start.speed, _SLOW) + _GAIN
-    score = np.minimum(np.minimum(verdict.desired, curve), soon)
+    view = in_view(stands, look.risk, field.stays.reshape(len(cost), -1)[:, 0], look.s_max, settings)
+    score = np.minimum(np.minimum(verdict.desired, curve), np.minimum(soon, view))
     score = score - settings.tier_cost * verdict.tier - verdict.penalty - cost
     if (verdict.tier > 1).any():
         score -= np.where(verdict.tier > 1, settings.squeeze_cost * _squeeze(look, start), 0.0)
@@ -143,7 +150,18 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
         failure, at = rollouts.failure[chosen], rollouts.failed_at[chosen]
         distance = rollouts.distance[chosen, at]
     decision = _decide(scene, look, chosen, target, int(failure), int(at), float(distance), field, tier_index)
-    return _finish(scene, look, chosen, target, motion, decision, verdict.desired, score, settings)
+    if stands is not None and share < 1.0 and abs(paths.d[chosen, -1] - paths.d[0, 0]) > _ROUND:
+        share = LEAST  # who goes round does not turn back for what it costs
+    plan, memory = _finish(scene, look, chosen, target, motion, decision, verdict.desired, score, settings)
+    return plan, replace(memory, patience=share)
+
+
+def _patience(scene: Scene, stands: Blocked | None, settings: PlannerSettings) -> float:
+    """Share of the cost of leaving the lane, after the time since the last plan."""
+    memory = scene.memory
+    if memory is None:
+        return 1.0
+    return patience(stands, memory.patience, scene.start.speed, (scene.capture_ns - memory.capture_ns) * 1e-9, settings)
 
 
 def plan_paper(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]:
@@ -451,7 +469,7 @@ def _decide(
         near = look.risk.risk[chosen, j : j + 2, i : i + 2]
         place = float(paths.step * (i + int(np.argmax(near.max(axis=0)))))
     elif kind == "stays":
-        place = float(field.stays[chosen * field.points + i]) + field.gap + 0.3
+        place = float(field.stays[chosen * field.points + i]) + field.gap_stays + 0.3
         j = 0
     else:
         contact = field.contact if tier < 2 else field.ahead

@@ -95,6 +95,7 @@ class Field:
     end: F64  # length that can be steered; FAR if all of it [n] [m]
     s_max: F64  # highest wanted speed at the start of each path [n] [m/s]
     gap: float  # [m]
+    gap_stays: float  # kept to what may stay put [m]
     swept: float = np.inf  # from when on contact is no brake's to prevent [s]
     of_ahead: Callable[[], Contact] | None = None  # finds contact with what is ahead; None: no difference
 
@@ -109,14 +110,19 @@ class Field:
         settings: PlannerSettings,
         curvature: F64 | None = None,
         hardest: Motion | None = None,
+        gap_stays: float | None = None,
     ) -> Field:
         """Put together what rollouts are checked against; `hardest` brakes as hard as can be, None: the ego stands.
 
+        `gap_stays` is the gap kept to what may stay put, None: as to anybody [m].
+
         Contact moves within a slice if it is the same source's in the next; the speed law reads M_j and M_j+1.
         """
+        gap_stays = settings.gap if gap_stays is None else gap_stays
         touch = risk.risk if risk.contact is None else risk.contact
         who = risk.who
         contact = Contact.of(touch, None if who is None else who[0], volume.starts, settings.r_hit, step)
+        contact = contact.closing(settings.closing)
         ahead, whose = risk.ahead, None if who is None else who[1]
         of_ahead = None
         if ahead is not None:
@@ -139,7 +145,7 @@ class Field:
             touch.shape[1],
             volume.starts,
             contact,
-            np.where(stays < FAR, stays - settings.gap, FAR).ravel(),
+            np.where(stays < FAR, stays - gap_stays, FAR).ravel(),
             law.ravel(),
             law_now.ravel(),
             (cap.speed**2).ravel(),
@@ -147,6 +153,7 @@ class Field:
             np.where(end < step * (touch.shape[2] - 1), end, FAR),
             s_max,
             settings.gap,
+            gap_stays,
             _swept(risk, volume.starts, settings.r_hit, step, hardest),
             of_ahead,
         )

@@ -42,6 +42,9 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     # gap, headway, horizon: the planner's own
     gap: NotNegative = 3.0  # kept to what stands ahead [m]
     headway: NotNegative = 1.2  # [s]
+    closing: NotNegative = 1.5  # who comes towards the ego when the horizon ends must be so far away [s]
+    gap_round: NotNegative = 8.0
+    """Kept to what stands in the lane while there is a way round it that is not free yet: room to steer out [m]."""
     gap_behind: NotNegative = 1.0  # to who follows where the ego pulls out before him [m] …
     headway_behind: NotNegative = 0.25  # … and this times its speed [s]
     stop_brake: Positive = 4.0  # b_stop: deceleration that the stop-speed map counts on [m/s²]
@@ -80,6 +83,9 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     neighbour_cost: NotNegative = 0.5  # leaving the own lane for one of the same direction
     unknown_side_cost: NotNegative = 1.5  # leaving it where no map tells what is there
     oncoming_cost: NotNegative = 4.0  # leaving it for one of the opposite direction
+    queue_cost: NotNegative = 8.0  # leaving it for one of the opposite direction where others stand in line
+    patience_speed: Positive = 5.0  # slower than this before what stands alone in the lane, the ego waits [m/s] …
+    patience: Positive = 5.0  # … and so long after it the costs of leaving the lane have fallen to a fifth [s]
     off_road_cost: NotNegative = 8.0  # leaving it where the map has no lane
     lane_margin: NotNegative = 0.15  # the outline may reach this far over the own lane's edge for nothing [m]
 

@@ -156,6 +156,7 @@ class Memory:
     remaining: float  # length of the lateral move still to go at the plan's capture [m]
     s: float  # arc length on the reference line at the plan's capture [m]
     margin: float = np.inf  # risk beyond contact that the flanks were let have, inf where nobody has said [E_max]
+    patience: float = 1.0  # share of the cost of leaving the lane, while something stands in it
 
     def state(self, now_ns: int) -> tuple[Start, float]:
         """The planned state at a time, and how far along the path it is; after the profile, the tail."""
