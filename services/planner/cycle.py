@@ -221,7 +221,7 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
         points=settings.stations,
         max_curvature=settings.max_curvature,
     )
-    footprint = _footprint(scene, settings)
+    footprint = _footprint(scene, step, settings)
     off = _beside_lane(road.lanes, paths)
     moved: F64 = np.abs(off[:, -1] - off[:, 0])
     leaves = moved > _LEAVES
@@ -270,11 +270,11 @@ _CREEP = 0.01
 """So much more may somebody beside press in from plan to plan [E_max]: what is drifted into is not let be."""
 
 
-def _footprint(scene: Scene, settings: PlannerSettings) -> Footprint:
+def _footprint(scene: Scene, step: float, settings: PlannerSettings) -> Footprint:
     """The outline; who is beside or behind nearer than touching already may stay so near, for braking frees nobody."""
     start = scene.start
     behind = settings.gap_behind + settings.headway_behind * start.speed
-    footprint = Footprint.of(scene.ego, settings.footprint_spacing, settings.flank_margin, behind)
+    footprint = Footprint.of(scene.ego, settings.footprint_spacing, settings.flank_margin, behind, step)
     x, y = footprint.at(np.array([start.x]), np.array([start.y]), np.array([start.heading]))
     now = scene.volume.sample_at(x, y, np.zeros(1, dtype=np.intp))[0].astype(np.float64)
     beside = footprint.margin > 0.0

@@ -29,6 +29,7 @@ _STAYS_S = 2.0  # s
 CORNER = 0.3
 """Of the bumpers, the outer part belongs to the flanks [m]."""
 _AHEAD = 1.0  # m; so much of the flanks, from the bumper on, meets what the ego drives into
+_THIN = 0.3  # m; so thin is where a closed line alone is contact
 _TAIL = 1.5  # m; largest distance between the samples behind
 _NEVER = 1e3  # E_max
 
@@ -69,18 +70,25 @@ class Footprint:
         return kernels.pack(self.x[rear], self.y[rear], np.zeros((2, 5, len(rear)), np.float32), len(rear))
 
     @staticmethod
-    def of(ego: Ego, spacing: float, flank_margin: float = 0.0, behind: float = 0.0) -> Footprint:
+    def of(ego: Ego, spacing: float, flank_margin: float = 0.0, behind: float = 0.0, stride: float = 0.0) -> Footprint:
         """Points on the outline no further than `spacing` apart [m]; `flank_margin` is taken off beside and behind.
 
-        `behind` [m] is the gap to who follows that a path which leaves must have.
+        `behind` [m] is the gap to who follows that a path which leaves must have; `stride` [m] is how far apart the
+        poses are at which it is looked up: points behind the bumper see to it that no closed line lies between two.
         """
-        if behind <= 0.0:
+        if behind <= 0.0 and stride <= 0.0:
             return _outlined(ego.length, ego.width, ego.wheelbase, spacing, flank_margin)
-        return Footprint._made(ego.length, ego.width, ego.wheelbase, spacing, flank_margin, behind)
+        return Footprint._made(ego.length, ego.width, ego.wheelbase, spacing, flank_margin, behind, stride)
 
     @staticmethod
     def _made(
-        length: float, width: float, wheelbase: float, spacing: float, flank_margin: float, behind: float
+        length: float,
+        width: float,
+        wheelbase: float,
+        spacing: float,
+        flank_margin: float,
+        behind: float,
+        stride: float = 0.0,
     ) -> Footprint:
         columns = int(np.ceil(length / spacing)) + 1
         rows = int(np.ceil(width / spacing)) + 1
@@ -88,12 +96,15 @@ class Footprint:
         ly = np.linspace(-width / 2, width / 2, rows)
         inner = ly[1:-1]
         tail = np.linspace(behind, 0.0, int(np.ceil(behind / _TAIL)), endpoint=False)
-        outline = 2 * (columns + len(inner))
-        x = np.concatenate((lx, lx, np.full(len(inner), lx[-1]), np.full(len(inner), lx[0]), lx[0] - tail))
-        y = np.concatenate((np.full(columns, ly[-1]), np.full(columns, ly[0]), inner, inner, np.zeros(len(tail))))
-        before = (x >= lx[-1] - 1e-9) & (np.abs(y) <= width / 2 - CORNER)
+        trail = lx[-1] - np.linspace(0.0, stride, int(np.ceil(stride / _THIN)), endpoint=False)[1:]
+        trail = trail[trail > wheelbase / 2]
+        middle = np.zeros(len(trail) + len(tail))
+        outline = 2 * (columns + len(inner)) + len(trail)
+        x = np.concatenate((lx, lx, np.full(len(inner), lx[-1]), np.full(len(inner), lx[0]), trail, lx[0] - tail))
+        y = np.concatenate((np.full(columns, ly[-1]), np.full(columns, ly[0]), inner, inner, middle))
+        before = (x >= lx[-1] - max(stride, 1e-9)) & (np.abs(y) <= width / 2 - CORNER)
         margin = np.where(before | (np.arange(len(x)) >= outline), 0.0, flank_margin)
-        ahead = np.where(x >= lx[-1] - _AHEAD, margin, _NEVER)
+        ahead = np.where((x >= lx[-1] - _AHEAD) | before, margin, _NEVER)
         rear = x < wheelbase / 2 - 1e-9
         sides = np.where(rear, 0, (y > -1e-9) * 1 + (y < 1e-9) * 2).astype(np.uint8)
         return Footprint(x, y, float(lx[-1]), width / 2, margin, ahead, rear, sides, outline)
