@@ -95,7 +95,7 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     tail_brakes: tuple[float, ...] = (2.5, 4.0, 8.0)  # the first that keeps the tail free is taken [m/s²]
     follow_distance: Positive = 0.3  # replan from the previous plan's state if the ego is this near to it [m]
     follow_speed: Positive = 0.5  # and this near in speed [m/s]
-    lead_speed: NotNegative = 0.2  # so far that state may be off the ego's own speed [m/s]
+    lead_speed: NotNegative = 0.1  # so far that state may be off the ego's own speed [m/s]
     lead_accel: NotNegative = 0.5  # and off its acceleration [m/s²]
     max_risk_age: Positive = 0.3  # [s], transit included
     max_ego_age: Positive = 0.2  # [s]
