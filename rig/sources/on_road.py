@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from common.messages import ObjectClass
 from rig.sources import roads
 from rig.sources.building import (
     BEHIND_M,
+    FRAME_S,
     LIMIT,
     REST_M,
     Draw,
@@ -26,6 +29,10 @@ from rig.world import Closure, Scenario
 CAR, TRUCK, PEDESTRIAN, BICYCLE = ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.PEDESTRIAN, ObjectClass.BICYCLE
 LIGHT = 90
 """Id of a stop line."""
+INTRUSION_M = 1.75 + 0.9 - 0.3
+"""A car whose centre is nearer to a lane's than this reaches 0.3 m into it [m]."""
+EGO_LENGTH_M = 4.5
+"""And that of a car: between two centres when the bumpers touch [m]."""
 
 
 def straight(draw: Draw) -> Scenario:
@@ -69,12 +76,19 @@ def hard_braking_lead(draw: Draw) -> Scenario:
 
 
 def cut_in(draw: Draw) -> Scenario:
-    """A slower car from the lane to the left moves close in front of the ego."""
+    """A slower car from the lane to the left moves close in front of the ego.
+
+    As close as can be asked of anybody to avoid: where it intrudes, an ego at the limit is not below the time to
+    collision of UN Regulation 157, 5.2.5.2.
+    """
     goal, duration = 210.0, 28.0
     road = one_way(draw, BEHIND_M + goal + 2 * REST_M, lanes=2)
     speed, gap = draw.about(10.5, 0.8), draw.about(16.0, 2.0)
-    way = BEHIND_M + gap + travelled(duration, [(0, speed), (6, speed), (14, 12), (duration, 12)])
     beside = shifting(duration, draw.about(2.0, 0.7), draw.about(3.5, 0.7), 3.5, 0.0)
+    closing = max(LIMIT - speed, 0.0)
+    intrudes = FRAME_S * int(np.argmax(beside < INTRUSION_M))
+    gap = max(gap, EGO_LENGTH_M + closing * (intrudes + closing / (2.0 * 6.0) + 0.35))
+    way = BEHIND_M + gap + travelled(duration, [(0, speed), (6, speed), (14, 12), (duration, 12)])
     return drive(
         "cut_in", "Cut-in", road, duration, draw.about(13.0, 0.6), goal, [along(1, CAR, road.line, way, beside)]
     )

@@ -113,3 +113,19 @@ def test_an_unknown_name_is_refused_with_a_suggestion() -> None:
     assert "Did you mean slow_pedestrian" in str(e.value)
     with pytest.raises(ScenarioError, match="no such file"):
         load_scenario("nowhere/nothing.xml")
+
+
+@pytest.mark.parametrize("seed", [0, 1, 7, 1234, 977200205])
+def test_who_cuts_in_leaves_the_time_that_un_regulation_157_asks_of_anybody(seed: int) -> None:
+    s = load_scenario("cut_in", seed=seed)
+    line = Polyline.of(s.route.reference)
+    begin = float(line.project(np.array([s.ego0.x, s.ego0.y]))[0])
+    for t in np.arange(0.0, 10.0, 0.05):
+        o = s.objects_at(float(t))
+        at, beside = line.project(np.array([o.x[0], o.y[0]]))
+        if beside - o.width[0] / 2 < 1.75 - 0.3:  # 0.3 m over the line
+            closing = 13.9 - float(np.hypot(o.vx[0], o.vy[0]))
+            gap = at - (begin + 13.9 * t) - 4.5
+            assert gap / closing > closing / 12.0 + 0.35 - 0.15
+            return
+    raise AssertionError("it never cuts in")
