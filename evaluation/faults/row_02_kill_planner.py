@@ -102,7 +102,12 @@ def killed(s: Stack, kept: deque[Raw]) -> Life:
         drive_s=(drive.arrived_ns - life.since_ns) * NS_TO_S,
         tail_s=0.02 * sum(t.part in ("tail", "over") for t in ticks),
         off=deviation(ticks),
-        others=sum(t.boot != old.boot or t.seq != in_force.seq or t.part not in ("tail", "over") for t in alone),
+        # the vehicle may hear the new plan a moment before the listener does
+        others=sum(
+            t.boot != old.boot or t.seq != in_force.seq or t.part not in ("tail", "over")
+            for t in alone
+            if t.boot != first.boot
+        ),
         refused=s.bus.counters.get("plan:old_boot", 0) - before,
         taken=taken,
     )
