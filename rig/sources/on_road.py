@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from common.messages import ObjectClass
+from common.messages import FRAME_S, ObjectClass
 from rig.sources import roads
 from rig.sources.building import (
     BEHIND_M,
-    FRAME_S,
     LIMIT,
     REST_M,
     Draw,
