@@ -30,7 +30,7 @@ def test_it_holds_our_packages_and_no_tests_or_data(wheel: Path) -> None:
     tops = {n.split("/")[0] for n in names if not n.split("/")[0].endswith(".dist-info")}
     assert tops == {"common", "services", "viz", "rig", "evaluation"}
     assert all(
-        n.endswith((".py", ".json", ".md", ".png", ".safetensors", ".typed", ".html.j2")) or ".dist-info/" in n
+        n.endswith((".py", ".c", ".json", ".md", ".png", ".safetensors", ".typed", ".html.j2")) or ".dist-info/" in n
         for n in names
     )
     assert sum(i.file_size for i in zipfile.ZipFile(wheel).infolist()) < 8 * 2**20
