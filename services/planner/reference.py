@@ -21,6 +21,8 @@ F64 = npt.NDArray[np.float64]
 
 SPACING = 0.25
 """Distance between the stored points [m]."""
+LONGEST_M = 50_000.0
+"""A longer line is refused: every metre of it takes memory, and one wild point would take all there is [m]."""
 _DECIMATE = 0.5  # m; nearer points are jitter of a standing recorder
 _SIGMAS = (1.5, 3.0, 7.0)  # m
 _TIGHT = 0.17  # 1/m; sharper than this, the middle width is used whatever it moves
@@ -54,9 +56,13 @@ class ReferenceLine:
         """Smooth a polyline [n, 2].
 
         Raises:
-            ValueError: shorter than half a metre, or a non-finite point.
+            ValueError: shorter than half a metre, longer than `LONGEST_M`, or a non-finite point.
         """
-        line = _decimated(Polyline.of(points))
+        line = Polyline.of(points)
+        if not line.length <= LONGEST_M:
+            long, most = line.length / 1e3, LONGEST_M / 1e3
+            raise ValueError(f"the reference line is {long:.4g} km long, at most {most:.0f}: send the next part of it")
+        line = _decimated(line)
         n = max(int(np.ceil(line.length / SPACING)), 2) + 1
         spacing = line.length / (n - 1)
         raw = line.at(np.linspace(0.0, line.length, n))

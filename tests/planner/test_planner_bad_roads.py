@@ -170,3 +170,12 @@ def test_outside_emergencies_plans_stay_within_comfort(seed: int, speed: float):
     assert plan.profile is not None
     assert plan.profile.acceleration.min() >= -1.5 and plan.profile.acceleration.max() <= 1.5
     assert np.max(plan.profile.speed**2 * np.abs(plan.profile.curvature)) <= 1.2
+
+
+@pytest.mark.parametrize("wild", [(1e6, 0.0), (3e8, -1e9), (1e300, 0.0)])
+def test_one_wild_point_of_a_route_is_a_reason_and_no_memory(wild: tuple[float, float]):
+    line = np.vstack((straight_route().reference, wild))
+    route = Route(reference=line, goal=Goal(x=100.0, y=0.0, radius=2.0), speed_limit=9.0)
+    plan = planned(ego_at(0, 0, 0, 8.0), route, Map(lanes=[lane(1, 0.0)]))
+    assert plan.mode == "safe_stop"
+    assert "km long" in plan.reason
