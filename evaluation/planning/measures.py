@@ -12,6 +12,7 @@ from evaluation.planning import criteria
 from evaluation.planning.loop import DriveResult
 from evaluation.planning.recorder import Recorder
 from evaluation.planning.road_area import RoadArea
+from evaluation.planning.unavoidable import unavoidable
 from evaluation.planning.world_checks import brake_had_cause, emergencies, emergency_times, min_ttc
 from evaluation.planning.yardstick import Yardstick
 from rig.comfort import motion
@@ -37,6 +38,7 @@ def measured(scenario: Scenario, result: DriveResult, record: Recorder, yard: Ya
     ego = result.summary["ego"]
     collisions = [_judged(c, record, scenario) for c in ego["collisions"]]
     crash = min((c["t"] for c in collisions), default=math.inf)
+    lost = bool(collisions) and unavoidable(record, crash)
     found = emergencies(record, crash)
     felt = motion(record.t, [e.speed for e in record.ego], [e.yaw_rate for e in record.ego])
     urgent = emergency_times(record, found, felt.t_acceleration) | (felt.t_acceleration >= crash)
@@ -54,6 +56,7 @@ def measured(scenario: Scenario, result: DriveResult, record: Recorder, yard: Ya
         "collision": bool(collisions),
         "collision_at_fault": any(c["at_fault"] for c in collisions),
         "collisions": collisions,
+        "collision_unavoidable": lost,
         "min_clearance_m": ego["min_clearance_m"],
         "min_ttc_s": min_ttc(record),
         "goal": bool(ego["reached_goal"]),

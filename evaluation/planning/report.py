@@ -28,6 +28,7 @@ def summary(entries: Entries) -> dict[str, Any]:
         "errors": len(entries) - len(good),
         "collisions": sum(e["collision"] for e in good),
         "collisions_at_fault": sum(e["collision_at_fault"] for e in good),
+        "collisions_unavoidable": sum(e.get("collision_unavoidable", False) for e in good),
         "goal_rate": _share(sum(e["goal"] for e in good), len(good)),
         "off_road": sum(bool(e["off_road"]) for e in on_map),
         "efficiency": pooled_efficiency(good),
@@ -160,7 +161,8 @@ def wrong(e: dict[str, Any]) -> str:
     if e["criterion"]:
         return str(e["criterion"])
     if e["collision_at_fault"]:
-        return next(f"collision at fault: {c['why']}" for c in e["collisions"] if c["at_fault"])
+        lost = ", lost from its first state on" if e.get("collision_unavoidable") else ""
+        return next(f"collision at fault: {c['why']}{lost}" for c in e["collisions"] if c["at_fault"])
     return f"{e['off_road_m']} m off the road" if e["off_road"] else ""
 
 
@@ -169,6 +171,7 @@ HEAD = {
     "criteria_passed": "criteria met",
     "collisions": "collisions",
     "collisions_at_fault": "at fault",
+    "collisions_unavoidable": "lost from the start",
     "goal_rate": "goal",
     "off_road": "off road",
     "efficiency_human": "of the human's way",
