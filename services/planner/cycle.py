@@ -24,6 +24,7 @@ from services.planner.lanes import RouteLanes
 from services.planner.passing import LEAST, Blocked, blocked_by, in_view, patience, priced, waiting_gap
 from services.planner.pushers import pushers, without
 from services.planner.reference import ReferenceLine
+from services.planner.road_edges import leaves_road
 from services.planner.rollout import DT, FAILURES, Field, Rollouts, Tier, hardest_brake, roll_out
 from services.planner.search import (
     REFERENCE,
@@ -109,7 +110,10 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
         paths, scene.road.lanes, look.footprint.half_width, previous, committed, priced(settings, stands, share)
     )
     cost += goal_cost(paths, scene.road.lanes, _tracks_of(paths), _goal(scene), start.speed, settings)
-    verdict = search(field, start, settings, cost, lambda rest: lane_centre_distance(paths, scene.road.lanes, rest))
+    off = leaves_road(paths, scene.road.lanes, look.footprint.half_width, settings.lane_margin)
+    verdict = search(
+        field, start, settings, cost, lambda rest: lane_centre_distance(paths, scene.road.lanes, rest), off
+    )
 
     # what curves allow within 3 s counts as much as what risk allows; but nobody cuts corners to be faster in them
     near = paths.stations[None] <= 3.0 * np.maximum(verdict.desired, start.speed)[:, None] + 1.0
@@ -237,7 +241,7 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
         r0=settings.r0,
     )
     risk = without(risk, _pushers(scene, paths, footprint, moved, settings), ~leaves)
-    road_end = _road_end(scene, paths)
+    road_end = _road_end(scene, paths, _tracks_of(paths))
     cap = _cap(scene, paths, risk.known, road_end, settings)
     # who is there already is not stopped harder than need be
     paths = replace(paths, end=np.where(road_end > 0.0, np.minimum(paths.end, road_end), paths.end))
@@ -343,15 +347,29 @@ _TRACKS = 3
 
 
 def _near_tracks(lanes: RouteLanes, s: float, d: float, longest: float) -> list[int]:
-    """Indices of the lanes that the ego could drive in, the nearest first, other than under the reference line."""
+    """Indices of the lanes that the ego could drive in, the nearest first, other than under the reference line.
+
+    A lane that soon ends or leads away from the route is one only for whoever is in it, and not on the route already.
+    """
     here, there = (int(i) for i in lanes.index(np.array([s, s + longest])))
     found = []
     for k, track in enumerate(lanes.tracks):
         if track.first <= here <= track.last - 2:
             away = abs(float(track.centre[here]) - d)
+            if _ends(lanes, track.leaves) and track.leaves < there and (away > _ON_IT or abs(d) < _ON_IT):
+                continue
             if away <= _BESIDE and np.abs(track.centre[here : max(there, here + 1) + 1]).max() > _SAME:
                 found.append((away, k))
     return [k for _, k in sorted(found)[:_TRACKS]]
+
+
+_ON_IT = 1.0  # m; nearer than this to a lane's centre the ego is in it
+_ROAD_END = 10  # stations; what ends nearer than this to the reference line's end goes on as long as it does
+
+
+def _ends(lanes: RouteLanes, station: int) -> bool:
+    """Whether what is known up to a station ends before the reference line does."""
+    return station < len(lanes.limit) - 1 - _ROAD_END
 
 
 _END_BRAKE = 1.3
@@ -369,22 +387,28 @@ def _way_to(paths: Paths, s: float) -> F64:
     return np.where(beyond.any(axis=1), paths.step * (before + w * (i > 0)), 1e6)
 
 
-def _road_end(scene: Scene, paths: Paths) -> F64:
-    """How far each path may be driven until the front bumper is where the lanes end [n] [m]; far: no end in sight.
+def _road_end(scene: Scene, paths: Paths, tracks: npt.NDArray[np.intp]) -> F64:
+    """How far each path may be driven until the front bumper is where its lane, or all do, end [n] [m]; else far.
 
     A path through a goal that is driven through is not slowed for what lies beyond: there the drive is over.
     """
-    road, half = scene.road, 0.5 * scene.ego.wheelbase
+    road, to_front = scene.road, 0.5 * (scene.ego.wheelbase + scene.ego.length)
+    end = np.full(len(paths.x), 1e6)
+    for k in np.unique(tracks[tracks >= 0]):
+        last = road.lanes.tracks[k].last
+        if _ends(road.lanes, last):
+            mine = tracks == k
+            end[mine] = _way_to(paths, road.lanes.stations[last] - to_front)[mine]
     if not np.isfinite(road.lanes.end):
-        return np.full(len(paths.x), 1e6)
-    end = _way_to(paths, road.lanes.end - half - 0.5 * scene.ego.length)
+        return end
+    end = np.minimum(end, _way_to(paths, road.lanes.end - to_front))
     goal_s, goal_d, radius = _goal(scene)
     if road.goal.stop or not paths.s[0, 0] < goal_s < road.lanes.end:
         return end
     at = np.argmax(paths.s >= goal_s, axis=1)
     there = np.where((paths.s >= goal_s).any(axis=1), at, paths.s.shape[1] - 1)
     through = np.abs(paths.d[np.arange(len(at)), there] - goal_d) <= radius
-    return np.where(through, 1e6, end)
+    return np.asarray(np.where(through, 1e6, end))
 
 
 def _cap(scene: Scene, paths: Paths, known: F64, road_end: F64, settings: PlannerSettings) -> Cap:

@@ -44,6 +44,7 @@ class Track:
     centre: F64  # offset of its centre line, held beyond its ends [m]
     slope: F64  # d centre / ds
     bend: F64  # d² centre / ds² [1/m]
+    leaves: int  # station from which it leads away from the reference line, or merges, until it ends; `last` if never
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,7 @@ def _end(lines: Projections, mapped: npt.NDArray[np.bool_], lanes: list[Lane]) -
 
 _BESIDE = 9.0  # m; tracks further away are of no use
 _HALF = 5  # stations to each side over which offsets are smoothed
+_LEAVING = 0.05  # a lane that ends at this slope to the reference line has left it, or has merged
 _JOINT = 1.0  # m; a lane whose centre begins further from the end of another does not follow it
 
 
@@ -176,7 +178,10 @@ def _track(offsets: F64) -> Track:
     centre = _filled(_filled(offsets[a:b]))
     slope = np.gradient(centre, SPACING) if len(centre) > 1 else np.zeros(len(centre))
     bend = np.gradient(slope, SPACING) if len(centre) > 1 else np.zeros(len(centre))
-    return Track(first, last, *(np.pad(q, (a, n - b), mode="edge") for q in (centre, slope, bend)))
+    centre, slope, bend = (np.pad(q, (a, n - b), mode="edge") for q in (centre, slope, bend))
+    beside = np.flatnonzero(np.abs(slope[first : last + 1]) <= _LEAVING)
+    leaves = first + int(beside[-1]) if len(beside) else first
+    return Track(first, last, centre, slope, bend, leaves)
 
 
 def _next(spans: dict[int, Span], lane: int, others: list[int], *, ahead: bool) -> int | None:

@@ -48,10 +48,13 @@ def search(
     settings: PlannerSettings,
     cost: F64,
     off_centre: Callable[[F64], F64],
+    off_road: Bools | None = None,
     *,
     reference: bool = False,
 ) -> Verdict:
     """Evaluate every path of the field, going on and stopping apart.
+
+    A path off the road passes only where no other does, however hard it brakes.
 
     Args:
         field: What the paths meet.
@@ -59,31 +62,59 @@ def search(
         settings: The controller's and the checks'.
         cost: What speaks against each path besides its speed [n] [m/s].
         off_centre: How far off a lane's centre each path is at distances [n] [m]: there nobody should stop.
+        off_road: Which paths leave the road [n]; None: none.
         reference: Keep to NumPy.
     """
+    if off_road is not None and off_road.any() and not off_road.all():
+        verdict = _of_some(field, start, settings, cost, off_centre, np.flatnonzero(~off_road), reference=reference)
+        if verdict.passed.any():
+            return verdict
     everything = np.arange(len(field.s_max))
+    return _of_some(field, start, settings, cost, off_centre, everything, reference=reference)
+
+
+def _of_some(
+    field: Field,
+    start: Start,
+    settings: PlannerSettings,
+    cost: F64,
+    off_centre: Callable[[F64], F64],
+    some: Ints,
+    *,
+    reference: bool,
+) -> Verdict:
+    """The verdict on some of the paths; the others do not pass, in whatever tier."""
+    n = len(field.s_max)
     comfort, firm, *harder = Tier.all(settings)
 
     def both(path: Ints, tier: Tier) -> Verdict:
         """The better of going on for good, and of braking to rest after the hold."""
         go, stop = highest(field, start, path, tier, settings, reference=reference)
-        rest = np.zeros(len(everything))
+        rest = np.zeros(n)
         rest[path] = stop.rest
         stop.penalty[:] = settings.stop_off_centre_cost * (off_centre(rest)[path] > _OFF_CENTRE)
         better = np.where(go.passed, go.desired, -np.inf) >= np.where(stop.passed, stop.desired - stop.penalty, -np.inf)
         return Verdict(**{k: np.where(better, v, vars(stop)[k]) for k, v in vars(go).items()})
 
-    verdict = both(everything, comfort)
+    verdict = _merged(_nothing(n, comfort, np.full(n, np.inf)), some, both(some, comfort))
     score = np.where(verdict.passed, verdict.desired - verdict.penalty - cost, -np.inf)
     # a firmer tier counts only where comfort fails, and only if it could be better
     could = np.minimum(field.s_max, max(start.speed, 1.0)) - cost - settings.tier_cost
-    unsettled = everything[~verdict.passed & (could > score.max())]
+    unsettled = some[(~verdict.passed & (could > score.max()))[some]]
     if len(unsettled):
         verdict = _merged(verdict, unsettled, both(unsettled, firm))
     for tier in harder:
         if not verdict.passed.any():
-            verdict = _merged(verdict, everything, both(everything, tier))
+            verdict = _merged(verdict, some, both(some, tier))
     return verdict
+
+
+def _nothing(n: int, tier: Tier, hold: F64) -> Verdict:
+    """No path passes; nothing is known of why."""
+    zero, none = np.zeros((4, n)), np.zeros((2, n), dtype=np.intp)
+    return Verdict(
+        np.zeros(n, dtype=bool), zero[0], np.full(n, tier.index), hold.copy(), zero[1], none[0], none[1], *zero[2:]
+    )
 
 
 _SWERVE_GAIN_S = 0.5
@@ -148,19 +179,7 @@ def _highest(
     """The highest target speed up to `s_max` that passes on each path with its hold, all [n]; in NumPy."""
     n = len(path)
     low, high = np.full(n, -1.0), np.full(n, 1.0)  # shares of s_max: highest passed, next that fails
-    zero = np.zeros(n)
-    none = np.zeros(n, dtype=np.intp)
-    out = Verdict(
-        np.zeros(n, dtype=bool),
-        zero.copy(),
-        np.full(n, tier.index),
-        holds.copy(),
-        zero.copy(),
-        none.copy(),
-        none.copy(),
-        zero.copy(),
-        zero.copy(),
-    )
+    out = _nothing(n, tier, holds)
     for m in (_COARSE + 1, _FINE, _FINE):
         if m > _FINE:
             rows = np.arange(n)
