@@ -393,7 +393,7 @@ def _road_end(scene: Scene, paths: Paths, tracks: npt.NDArray[np.intp]) -> F64:
     A path through a goal that is driven through is not slowed for what lies beyond: there the drive is over.
     """
     road, to_front = scene.road, 0.5 * (scene.ego.wheelbase + scene.ego.length)
-    end = np.full(len(paths.x), 1e6)
+    end: F64 = np.full(len(paths.x), 1e6)
     for k in np.unique(tracks[tracks >= 0]):
         last = road.lanes.tracks[k].last
         if _ends(road.lanes, last):
@@ -401,7 +401,7 @@ def _road_end(scene: Scene, paths: Paths, tracks: npt.NDArray[np.intp]) -> F64:
             end[mine] = _way_to(paths, road.lanes.stations[last] - to_front)[mine]
     if not np.isfinite(road.lanes.end):
         return end
-    end = np.minimum(end, _way_to(paths, road.lanes.end - to_front))
+    end = np.asarray(np.minimum(end, _way_to(paths, road.lanes.end - to_front)))
     goal_s, goal_d, radius = _goal(scene)
     if road.goal.stop or not paths.s[0, 0] < goal_s < road.lanes.end:
         return end
