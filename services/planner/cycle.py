@@ -21,7 +21,7 @@ from services.planner.decision import Obstruction, explain, explain_cap, verb
 from services.planner.footprint import Footprint, PathRisk, path_risk
 from services.planner.goal import goal_cost
 from services.planner.lanes import RouteLanes
-from services.planner.passing import LEAST, Blocked, blocked_by, in_view, patience, priced, waiting_gap
+from services.planner.passing import OUT, Blocked, blocked_by, in_view, patience, priced, waiting_gap
 from services.planner.pushers import pushers, without
 from services.planner.reference import ReferenceLine
 from services.planner.road_edges import leaves_road
@@ -155,7 +155,7 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
         distance = rollouts.distance[chosen, at]
     decision = _decide(scene, look, chosen, target, int(failure), int(at), float(distance), field, tier_index)
     if stands is not None and share < 1.0 and abs(paths.d[chosen, -1] - paths.d[0, 0]) > _ROUND:
-        share = LEAST  # who goes round does not turn back for what it costs
+        share = OUT  # who goes round does not turn back for what it costs
     plan, memory = _finish(scene, look, chosen, target, motion, decision, verdict.desired, score, settings)
     return plan, replace(memory, patience=share)
 

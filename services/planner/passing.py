@@ -27,7 +27,9 @@ F64 = npt.NDArray[np.float64]
 _LONG = 18.0  # m; what blocks the path for longer (the ego's own length counted in) is no single vehicle
 _FREE = 10.0  # m; so much of the lane must be free behind it
 LEAST = 0.2
-"""Share of its cost that leaving the lane keeps."""
+"""Share of its cost that leaving the lane keeps for who has waited."""
+OUT = 0.05
+"""The share for who has pulled out: to make more room beside what stands is then hardly dearer than to make less."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ def patience(stands: Blocked | None, before: float, speed: float, dt: float, set
         return 1.0
     if not stands.alone:
         return before
-    return max(before - dt / settings.patience * (speed < settings.patience_speed), LEAST)
+    return min(before, max(before - dt / settings.patience * (speed < settings.patience_speed), LEAST))
 
 
 def in_view(stands: Blocked | None, risk: PathRisk, put: F64, s_max: F64, settings: PlannerSettings) -> F64:

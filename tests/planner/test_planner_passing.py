@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.messages import Map
-from services.planner.passing import LEAST, Blocked, patience, waiting_gap
+from services.planner.passing import LEAST, OUT, Blocked, patience, waiting_gap
 from services.planner.settings import PlannerSettings
 from tests.planner.worlds import Box, Drive, box, drive, ego_at, lane, straight_route
 
@@ -64,4 +64,5 @@ def test_patience_ends_with_waiting_stays_so_while_something_stands_there_and_co
     assert patience(there, 1.0, 9.0, 0.05, SETTINGS) == 1.0
     assert patience(queue, share, 1.0, 0.05, SETTINGS) == share
     assert patience(queue, 1.0, 0.0, 9.0, SETTINGS) == 1.0
+    assert patience(there, OUT, 1.0, 0.05, SETTINGS) == OUT < LEAST
     assert patience(None, share, 1.0, 0.05, SETTINGS) == 1.0
