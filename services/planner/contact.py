@@ -4,7 +4,7 @@ s_hit is the first place at or beyond a station where the footprint's risk reach
 (the first sample instead makes a limit cycle). What one and the same source does in slice j and in slice j + 1 it does
 steadily in between: its contact moves along the path from the one place to the other. Of contacts of different or
 unknown sources (somebody crosses, appears, goes) the nearer one holds for the whole slice; who goes out of the way goes
-on as fast as he came there.
+on as fast as he came there, and who comes into it moves as he does once there.
 """
 
 from __future__ import annotations
@@ -64,6 +64,7 @@ class Contact:
             away = np.maximum(rate, 0.0)
             alone = (rate[:, 1:] == 0.0) & (own[:, 1:] < FAR)
             away[:, 1:] = np.where(alone, np.maximum(rate[:, :-1], 0.0), away[:, 1:])
+            away[:, :-1] = np.where(~same & (b < a), np.maximum(rate[:, 1:], 0.0), away[:, :-1])
         return Contact(distance, rate, away)
 
 

@@ -27,17 +27,18 @@ from services.planner.reference import ReferenceLine
 from services.planner.road_edges import leaves_road
 from services.planner.rollout import DT, FAILURES, Field, Rollouts, Tier, hardest_brake, roll_out
 from services.planner.search import (
+    LATER,
     REFERENCE,
     full_brake,
     lane_centre_distance,
     path_cost,
     search,
     track_index,
-    track_name,
 )
 from services.planner.settings import PlannerSettings
 from services.planner.speed import CAUSES, Cap, brake_before, curve_speed, stop_at
 from services.planner.stopping import stopping_tail
+from services.planner.targets import kinds, targets
 from services.planner.trajectory import Memory, Motion, Path, trajectory_of
 from services.planner.volume import Volume
 
@@ -112,7 +113,13 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     cost += goal_cost(paths, scene.road.lanes, _tracks_of(paths), _goal(scene), start.speed, settings)
     off = leaves_road(paths, scene.road.lanes, look.footprint.half_width, settings.lane_margin)
     verdict = search(
-        field, start, settings, cost, lambda rest: lane_centre_distance(paths, scene.road.lanes, rest), off
+        field,
+        start,
+        settings,
+        cost,
+        lambda rest: lane_centre_distance(paths, scene.road.lanes, rest),
+        off,
+        np.char.startswith(np.array(paths.target), LATER),
     )
 
     # what curves allow within 3 s counts as much as what risk allows; but nobody cuts corners to be faster in them
@@ -214,12 +221,12 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
     step = min(max(horizon / (settings.stations - 1), settings.step_min), settings.step_max)
     horizon = step * (settings.stations - 1)
     s: F64 = np.asarray(s0 + 0.5 * step * np.arange(3 * settings.stations), dtype=np.float64)
-    targets, lengths = _targets(scene, s, frenet, settings)
+    candidates, lengths, fresh = targets(road.lanes, s, frenet[1], start.speed, settings, scene.memory, scene.travelled)
     paths = path_sampling(
         road.reference,
         s,
         frenet,
-        targets,
+        candidates,
         lengths,
         step=step,
         points=settings.stations,
@@ -245,10 +252,8 @@ def _sample(scene: Scene, settings: PlannerSettings) -> _Sampled:
     cap = _cap(scene, paths, risk.known, road_end, settings)
     # who is there already is not stopped harder than need be
     paths = replace(paths, end=np.where(road_end > 0.0, np.minimum(paths.end, road_end), paths.end))
-    fresh = len(targets) - len(targets) % len(settings.lengths)
-    return _Sampled(
-        frenet, targets, fresh, paths, footprint, risk, cap, np.full(len(targets), s_max), scene.volume, moved, road_end
-    )
+    wanted: F64 = np.full(len(candidates), s_max)
+    return _Sampled(frenet, candidates, fresh, paths, footprint, risk, cap, wanted, scene.volume, moved, road_end)
 
 
 def _beside_lane(lanes: RouteLanes, paths: Paths) -> F64:
@@ -288,90 +293,6 @@ def _footprint(scene: Scene, step: float, settings: PlannerSettings) -> Footprin
     return replace(footprint, margin=np.where(beside, np.maximum(footprint.margin, worst), 0.0))
 
 
-def _targets(
-    scene: Scene, s: F64, frenet: tuple[float, float, float, float], settings: PlannerSettings
-) -> tuple[list[Target], F64]:
-    """Offsets and neighbouring lanes, each with every length; and the move under way with what is left of it."""
-    kinds = _kinds(scene, s, frenet, settings)
-    speed = scene.start.speed
-    targets, lengths = [], []
-    for kind in kinds:
-        for least, seconds in settings.lengths:
-            targets.append(kind)
-            lengths.append(max(least, seconds * speed))
-    memory = scene.memory
-    if memory is not None:
-        left = max(memory.remaining - scene.travelled, 6.0, 1.5 * speed)
-        for kind in kinds:
-            if kind.name == memory.target_name:
-                targets.append(kind)
-                lengths.append(left)
-    return targets, np.array(lengths)
-
-
-def _kinds(
-    scene: Scene,
-    s: F64,
-    frenet: tuple[float, float, float, float],
-    settings: PlannerSettings,
-    wanted: str | None = None,
-) -> list[Target]:
-    """Offsets and neighbouring lanes; `wanted`: at least the one of that name."""
-    zero = np.zeros_like(s)
-    kinds = [
-        Target(REFERENCE if o == 0.0 else f"{o:+.1f} m", np.full_like(s, o), zero, zero)
-        for o in dict.fromkeys((0.0, *settings.offsets))
-    ]
-    if any(t.name == wanted for t in kinds):
-        return kinds
-    lanes, speed = scene.road.lanes, scene.start.speed
-    stations = np.arange(len(lanes.limit), dtype=np.float64)
-    longest = max(settings.lengths[-1][0], settings.lengths[-1][1] * speed)
-    ahead = lanes.index(np.linspace(s[0], s[0] + longest, 5)[1:])
-    for name, side in (("left lane", lanes.left), ("right lane", lanes.right)):
-        if side.exists[ahead].all() and not side.same_direction[ahead].all():
-            centre = np.interp(s, stations, side.centre)
-            slope = np.interp(s, stations, side.slope) * ((s > 0) & (s < stations[-1]))
-            kinds.append(Target(name, centre, slope, np.gradient(slope, s)))
-    inside = (s > 0) & (s < stations[-1])
-    for k in _near_tracks(lanes, s[0], frenet[1], longest):
-        track = lanes.tracks[k]
-        values = (np.interp(s, stations, q) for q in (track.centre, track.slope, track.bend))
-        kinds.append(Target(track_name(k), next(values), next(values) * inside, next(values) * inside))
-    return kinds
-
-
-_BESIDE = 5.0  # m; lanes further from the ego are no targets
-_SAME = 0.5  # m; a lane this near to the reference line is no other target
-_TRACKS = 3
-
-
-def _near_tracks(lanes: RouteLanes, s: float, d: float, longest: float) -> list[int]:
-    """Indices of the lanes that the ego could drive in, the nearest first, other than under the reference line.
-
-    A lane that soon ends or leads away from the route is one only for whoever is in it, and not on the route already.
-    """
-    here, there = (int(i) for i in lanes.index(np.array([s, s + longest])))
-    found = []
-    for k, track in enumerate(lanes.tracks):
-        if track.first <= here <= track.last - 2:
-            away = abs(float(track.centre[here]) - d)
-            if _ends(lanes, track.leaves) and track.leaves < there and (away > _ON_IT or abs(d) < _ON_IT):
-                continue
-            if away <= _BESIDE and np.abs(track.centre[here : max(there, here + 1) + 1]).max() > _SAME:
-                found.append((away, k))
-    return [k for _, k in sorted(found)[:_TRACKS]]
-
-
-_ON_IT = 1.0  # m; nearer than this to a lane's centre the ego is in it
-_ROAD_END = 10  # stations; what ends nearer than this to the reference line's end goes on as long as it does
-
-
-def _ends(lanes: RouteLanes, station: int) -> bool:
-    """Whether what is known up to a station ends before the reference line does."""
-    return station < len(lanes.limit) - 1 - _ROAD_END
-
-
 _END_BRAKE = 1.3
 """With which the ego stops before the road ends [m/s²]."""
 
@@ -396,7 +317,7 @@ def _road_end(scene: Scene, paths: Paths, tracks: npt.NDArray[np.intp]) -> F64:
     end: F64 = np.full(len(paths.x), 1e6)
     for k in np.unique(tracks[tracks >= 0]):
         last = road.lanes.tracks[k].last
-        if _ends(road.lanes, last):
+        if road.lanes.ends(last):
             mine = tracks == k
             end[mine] = _way_to(paths, road.lanes.stations[last] - to_front)[mine]
     if not np.isfinite(road.lanes.end):
@@ -532,7 +453,8 @@ def _finish(
     step = paths.step / fine
     s: F64 = np.asarray(look.frenet[0] + 0.5 * step * np.arange(3 * settings.stations * fine), dtype=np.float64)
     name = paths.target[chosen]
-    target_line = next(t for t in _kinds(scene, s, look.frenet, settings, name) if t.name == name)
+    lines = kinds(scene.road.lanes, s, look.frenet[1], scene.start.speed, settings, name)
+    target_line = next(t for t in lines if t.name == name)
     path = Path.of(
         build_paths(
             scene.road.reference,

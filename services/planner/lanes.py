@@ -112,6 +112,10 @@ class RouteLanes:
             (yield from _end(lines, own >= 0, road.lanes)),
         )
 
+    def ends(self, station: int) -> bool:
+        """Whether what is known up to a station ends before the reference line does."""
+        return station < len(self.limit) - 1 - _ROAD_END
+
     def index(self, s: npt.ArrayLike) -> npt.NDArray[np.intp]:
         """Station at arc lengths `s`."""
         return np.asarray(
@@ -119,6 +123,7 @@ class RouteLanes:
         )
 
 
+_ROAD_END = 10  # stations; what ends nearer than this to the reference line's end goes on as long as it does
 _GAP = 5.0  # m; what lies nearer to the line's own end is no end of the road
 
 

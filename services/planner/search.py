@@ -24,6 +24,7 @@ Bools = npt.NDArray[np.bool_]
 
 _OFF_CENTRE = 0.7  # m
 _COARSE = 6
+_NARROW = 30
 _FINE = 3
 
 
@@ -49,6 +50,7 @@ def search(
     cost: F64,
     off_centre: Callable[[F64], F64],
     off_road: Bools | None = None,
+    narrow: Bools | None = None,
     *,
     reference: bool = False,
 ) -> Verdict:
@@ -63,14 +65,17 @@ def search(
         cost: What speaks against each path besides its speed [n] [m/s].
         off_centre: How far off a lane's centre each path is at distances [n] [m]: there nobody should stop.
         off_road: Which paths leave the road [n]; None: none.
+        narrow: Which paths may be good for a narrow band of speeds only [n], for they lead into a gap; None: none.
         reference: Keep to NumPy.
     """
     if off_road is not None and off_road.any() and not off_road.all():
-        verdict = _of_some(field, start, settings, cost, off_centre, np.flatnonzero(~off_road), reference=reference)
+        verdict = _of_some(
+            field, start, settings, cost, off_centre, narrow, np.flatnonzero(~off_road), reference=reference
+        )
         if verdict.passed.any():
             return verdict
     everything = np.arange(len(field.s_max))
-    return _of_some(field, start, settings, cost, off_centre, everything, reference=reference)
+    return _of_some(field, start, settings, cost, off_centre, narrow, everything, reference=reference)
 
 
 def _of_some(
@@ -79,6 +84,7 @@ def _of_some(
     settings: PlannerSettings,
     cost: F64,
     off_centre: Callable[[F64], F64],
+    narrow: Bools | None,
     some: Ints,
     *,
     reference: bool,
@@ -89,7 +95,7 @@ def _of_some(
 
     def both(path: Ints, tier: Tier) -> Verdict:
         """The better of going on for good, and of braking to rest after the hold."""
-        go, stop = highest(field, start, path, tier, settings, reference=reference)
+        go, stop = _highest_of(field, start, path, narrow, tier, settings, reference=reference)
         rest = np.zeros(n)
         rest[path] = stop.rest
         stop.penalty[:] = settings.stop_off_centre_cost * (off_centre(rest)[path] > _OFF_CENTRE)
@@ -139,8 +145,36 @@ def last_to_meet(steps: Ints, moved: F64) -> int:
     return int(np.lexsort((-steps, np.round(moved, 1), sooner))[0])
 
 
+def _highest_of(
+    field: Field,
+    start: Start,
+    path: Ints,
+    narrow: Bools | None,
+    tier: Tier,
+    settings: PlannerSettings,
+    *,
+    reference: bool,
+) -> tuple[Verdict, Verdict]:
+    """The same as `highest`, with more speeds tried on narrow paths."""
+    fine = np.zeros(len(path), dtype=bool) if narrow is None else narrow[path]
+    go, stop = highest(field, start, path, tier, settings, reference=reference)
+    if fine.any():
+        finer = highest(field, start, path[fine], tier, settings, coarse=_NARROW, reference=reference)
+        for all_of_it, found in ((go, finer[0]), (stop, finer[1])):
+            for name, value in vars(found).items():
+                getattr(all_of_it, name)[fine] = value
+    return go, stop
+
+
 def highest(
-    field: Field, start: Start, path: Ints, tier: Tier, settings: PlannerSettings, *, reference: bool = False
+    field: Field,
+    start: Start,
+    path: Ints,
+    tier: Tier,
+    settings: PlannerSettings,
+    *,
+    coarse: int = _COARSE,
+    reference: bool = False,
 ) -> tuple[Verdict, Verdict]:
     """The highest target speed that passes on paths [n], going on for good and braking to rest after the hold.
 
@@ -150,10 +184,10 @@ def highest(
     s_max = np.minimum(field.s_max[path], most)
     holds = (np.inf, settings.hold_s)
     if kernels is None or reference:
-        go, stop = (_highest(field, start, path, np.full(len(path), h), s_max, tier, settings) for h in holds)
+        go, stop = (_highest(field, start, path, np.full(len(path), h), s_max, tier, settings, coarse) for h in holds)
         return go, stop
     values = constants(field, start, tier, settings)
-    shares: F64 = np.linspace(0.0, 1.0, _COARSE + 1)
+    shares: F64 = np.linspace(0.0, 1.0, coarse + 1)
     found = kernels.highest(field.on_device, values, path, s_max, shares, _FINE)
     passed, desired, rest, failure, at, distance = found
     go, stop = (
@@ -174,13 +208,20 @@ def highest(
 
 
 def _highest(
-    field: Field, start: Start, path: Ints, holds: F64, s_max: F64, tier: Tier, settings: PlannerSettings
+    field: Field,
+    start: Start,
+    path: Ints,
+    holds: F64,
+    s_max: F64,
+    tier: Tier,
+    settings: PlannerSettings,
+    coarse: int,
 ) -> Verdict:
     """The highest target speed up to `s_max` that passes on each path with its hold, all [n]; in NumPy."""
     n = len(path)
     low, high = np.full(n, -1.0), np.full(n, 1.0)  # shares of s_max: highest passed, next that fails
     out = _nothing(n, tier, holds)
-    for m in (_COARSE + 1, _FINE, _FINE):
+    for m in (coarse + 1, _FINE, _FINE):
         if m > _FINE:
             rows = np.arange(n)
             shares = np.broadcast_to(np.linspace(0.0, 1.0, m), (n, m))
@@ -245,25 +286,36 @@ def path_cost(
             centre = track.centre[lanes.index(paths.s)]
             off[mine] = np.abs(paths.d - centre)[mine, :early]
             end_off[mine] = 0.0
+    later = np.char.startswith(name, LATER)
+    off[later], end_off[later] = 0.0, 0.0  # as long as it stays it is on a lane
     cost = settings.mean_offset_cost * off.mean(axis=1) + settings.end_offset_cost * end_off
     cost += settings.stay_cost * along
+    for k in np.flatnonzero(later).tolist():  # while there is room a gap is looked for only where the lane ends
+        ends = lanes.ends(lanes.tracks[later_from(paths.target[k])].leaves)
+        cost[k] += settings.stay_cost * (_HURRY if ends else _PATIENT)
     cost += settings.length_cost * (1.0 - paths.length / paths.length.max()) * ~committed
     for sign, edge, side in ((1.0, lanes.own_left[at], lanes.left), (-1.0, -lanes.own_right[at], lanes.right)):
         over = sign * end + half_width - edge
-        leaves = (over > settings.lane_margin) & (np.abs(end) > 0.05) & ~along
+        leaves = (over > settings.lane_margin) & (np.abs(end) > 0.05) & ~along & ~later
         cost += np.where(leaves, _side_cost(side, lanes, at, over, settings), 0.0)
     if previous:
         before = np.flatnonzero(np.array(paths.target) == previous)
         near = np.abs(end - end[before[0]]) / _OTHER if len(before) else np.ones(n)
         change = np.where(name == REFERENCE, 0.0, np.where(along, 0.5, 1.0))
         if previous.startswith(_LANE):  # who has found no gap so far does not try at every moment
-            change = np.where(name == REFERENCE, 0.5, change)
+            change = np.where((name == REFERENCE) | later, 0.5, change)
         # to make a little more room is not to change one's mind
         cost += np.where(name != previous, settings.change_cost * change * np.clip(near, 0.25, 1.0), 0.0)
     return np.asarray(cost)
 
 
 _LANE = "lane "
+LATER = "later "
+"""What the names of targets begin with that leave the ego's lane further on."""
+_HURRY, _PATIENT = (
+    0.5,
+    1.25,
+)  # shares of the cost of staying, for who is about to leave a lane that ends, or that goes on
 _IN_LANE = 1.0  # m
 _OTHER = 1.6  # m; targets so far apart are quite different ones
 
@@ -271,6 +323,11 @@ _OTHER = 1.6  # m; targets so far apart are quite different ones
 def track_name(index: int) -> str:
     """Name of the target that is one of `RouteLanes.tracks`."""
     return f"{_LANE}{index}"
+
+
+def later_from(name: str) -> int:
+    """Index of the track that a target leaves whose name begins with LATER."""
+    return int(name.rsplit(" ", 1)[1])
 
 
 def track_index(name: str) -> int:

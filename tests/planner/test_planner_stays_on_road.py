@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from common.messages import Goal, Lane, Map, Route
 from services.planner.bezier import Paths, Start, Target, build_paths
-from services.planner.cycle import _near_tracks
 from services.planner.lanes import RouteLanes
 from services.planner.reference import ReferenceLine
 from services.planner.road_edges import leaves_road
 from services.planner.search import search
 from services.planner.settings import PlannerSettings
+from services.planner.targets import near_tracks
 from tests.planner.test_planner_search import SETTINGS, blobs, field_of
 from tests.planner.worlds import box, drive, ego_at, lane, straight_route
 
@@ -116,7 +116,7 @@ def test_a_lane_that_goes_straight_on_where_the_route_turns_is_no_way_round(s: f
     road, route = _crossroads()
     lanes = RouteLanes.of(ReferenceLine.of(route.reference), route, road)
     assert any(np.abs(t.centre).max() > 3.0 for t in lanes.tracks)
-    assert _near_tracks(lanes, s, 0.0, max(24.0, 5.0 * speed)) == []
+    assert near_tracks(lanes, s, 0.0, max(24.0, 5.0 * speed)) == []
 
 
 @pytest.mark.long

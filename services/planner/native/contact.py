@@ -60,6 +60,7 @@ SOURCE = Crossing.cpp + (
         for (int i = 0; i < P; ++i) {
             const double a = h[i];
             double r = 0.0, off = 0.0, from = a;
+            bool arrives = false;
             if (!last) {
                 const double b = h[i + P];
                 const bool same = u[i] == u[i + P] && u[i] != 255.0;
@@ -67,9 +68,15 @@ SOURCE = Crossing.cpp + (
                     r = (b - a) / span;
                     r = r < -60.0 ? -60.0 : (r > 60.0 ? 60.0 : r);
                     off = r > 0.0 ? r : 0.0;
-                } else if (b < a) from = b;
+                } else if (b < a) {
+                    from = b; arrives = true;
+                    if (j + 2 < S && h[i + 2 * P] < p.far && u[i + P] == u[i + 2 * P] && u[i + P] != 255.0) {
+                        double w = (h[i + 2 * P] - b) / (p.starts[j + 2] - p.starts[j + 1]);
+                        off = w > 60.0 ? 60.0 : (w > 0.0 ? w : 0.0);
+                    }
+                }
             }
-            if (r == 0.0 && j > 0 && a < p.far) off = v[i - P] > 0.0 ? v[i - P] : 0.0;
+            if (r == 0.0 && j > 0 && a < p.far && !arrives) off = v[i - P] > 0.0 ? v[i - P] : 0.0;
             h[i] = from; v[i] = r; u[i] = off;
         }
     }
