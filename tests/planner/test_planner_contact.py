@@ -84,3 +84,11 @@ def test_a_stretch_that_widens_moves_nobody_and_unknown_sources_get_no_relief():
         sides[1, 0, j, i], who[1, 0, j, i] = 0.7, 1
     assert np.isclose(beside_law(sides, who, STARTS, 1.0, 14.0, 0.2, 0.9, 0.9)[0].min(), 4.0, atol=1e-4)
     assert np.isclose(law_beside([-2.0, 2.0, 6.0, 10.0], name=NOBODY).min(), 4.0, atol=1e-4)
+
+
+def test_who_comes_into_the_way_moves_as_he_does_once_there():
+    """A gap between cars that go by: the next one is not a wall in the slice in which he arrives."""
+    c = contact([30, 20, 25, 30], [1, 2, 2, 2])
+    assert c.distance[0, 0, 0] == pytest.approx(20.0, abs=1.0)
+    assert c.away[0, 0, 0] == pytest.approx(10.0)
+    assert contact([30, 20, 20, 20], [1, 2, 2, 2]).away[0, 0, 0] == 0.0

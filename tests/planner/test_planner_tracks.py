@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -93,3 +94,23 @@ def test_whoever_finds_a_gap_changes_with_the_route():
     assert abs(d.y[-1] - 3.5) < 0.5
     assert d.acceleration.min() > -1.6
     assert d.speed.min() > 6.5
+
+
+def ending(length: float = 110.0) -> Map:
+    """Lane 1 ends; lane 2 beside it goes on."""
+    x = np.linspace(-30.0, length, 60)
+    lines = [np.stack((x, np.full_like(x, y)), axis=1) for y in (0.0, 1.75, -1.75)]
+    short = Lane(
+        id=1, centre=lines[0], left=lines[1], right=lines[2], speed_limit=12.0, left_neighbour=2,
+        left_same_direction=True,
+    )  # fmt: skip
+    return Map(lanes=[short, lane(2, 3.5, limit=12.0, right_neighbour=1, right_same_direction=True)])
+
+
+def test_where_the_lane_ends_speed_is_fitted_to_a_gap_instead_of_waiting_at_the_end():
+    others = [box(8.0 - 36.0 * k, 3.5, 11.0, id=k + 1) for k in range(4)]
+    route = msgspec.structs.replace(changing(start=35.0, span=40.0), speed_limit=12.0)
+    d = drive(others, route, ego_at(5.0, 0.0, 0.0, 10.0), seconds=11.0, settings=FEW, road=ending(), ahead=90.0)
+    assert abs(d.y[-1] - 3.5) < 0.6
+    assert d.speed.min() > 4.0
+    assert min(d.clearance) > 0.2
