@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from msgspec import structs
 
 from common.codec import RefusedError, check
 from common.messages import Ego, Map, Plan, Risk, Route, Stamped
 from services.planner.backend import kernels
 from services.planner.bezier import Start
 from services.planner.cycle import Road, Scene, plan_default, plan_paper
+from services.planner.decision import through_a_gap
 from services.planner.lanes import RouteLanes
+from services.planner.nearest import SLOW, nearest_alone
 from services.planner.reference import ReferenceLine
 from services.planner.safe_stop import missing_input, safe_stop, waiting
 from services.planner.settings import PlannerSettings
@@ -94,6 +97,8 @@ class Planner:
         if not (turned <= 1.2):
             return self._stop(f"the ego stands {np.degrees(turned):.0f}° across the route", ego, risk, now_ns)
         plan, new = (plan_paper if settings.name == "paper" else plan_default)(scene, settings)
+        if settings.name == "default" and plan.desired_speed < settings.crawl and start.speed <= SLOW:
+            plan, new, volume = _creeping(scene, plan, new, settings)
         problem = validate(plan, ego.value, volume, settings)
         if problem:
             stop, stopped = self._stop(f"the plan was not fit to publish: {problem}", ego, risk, now_ns)
@@ -188,6 +193,18 @@ class Planner:
     @staticmethod
     def _moving(ego: Stamped[Ego]) -> bool:
         return not (abs(ego.value.speed) <= _MOVING)
+
+
+def _creeping(scene: Scene, plan: Plan, new: Memory, settings: PlannerSettings) -> tuple[Plan, Memory, Volume]:
+    """For who would stand or nearly so: a plan at a crawl, near bodies each looked at alone, if it gets further."""
+    start = scene.start
+    alone = nearest_alone(scene.volume, start.x, start.y, start.heading)
+    if alone is not scene.volume:
+        crept, memory = plan_default(replace(scene, volume=alone, most=settings.crawl), settings)
+        if crept.desired_speed > plan.desired_speed and plan.decision is not None:
+            decision = through_a_gap(plan.decision, crept.desired_speed, start.speed)
+            return structs.replace(crept, decision=decision, reason=decision.sentence), memory, alone
+    return plan, new, scene.volume
 
 
 def _preparing(route: Route, road: Map) -> Work[Road]:

@@ -76,6 +76,7 @@ class Scene:
     volume: Volume
     memory: Memory | None  # the plan in force, if the ego follows it
     travelled: float  # how far the ego is along that plan's path [m]
+    most: float = np.inf  # highest target speed, whatever is allowed [m/s]
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,7 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
         look.risk, scene.volume, look.cap, paths.end, look.s_max, paths.step, settings, paths.curvature,
         hardest_brake(start, settings), waiting_gap(stands, start.speed, settings),
     )  # fmt: skip
+    field = replace(field, s_max=np.minimum(field.s_max, scene.most))
     committed = np.arange(len(paths.target)) >= look.fresh
     cost = path_cost(
         paths, scene.road.lanes, look.footprint.half_width, previous, committed, priced(settings, stands, share)

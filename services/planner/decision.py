@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 
 from common.messages import Decision, ObjectClass, Slot
 from services.planner.footprint import Footprint
@@ -82,6 +83,12 @@ def explain_cap(desired: float, speed: float, cause: str, distance: float) -> De
     }[cause]
     ahead = f", {distance:.0f} m ahead" if distance > 1.0 else ""
     return Decision(sentence=f"{verb(desired, speed)}: {text}{ahead}", term=cause)
+
+
+def through_a_gap(why: Decision, desired: float, speed: float) -> Decision:
+    """Why the ego creeps and drives no faster: what would stop it if it were not looked at closely."""
+    _, _, who = why.sentence.partition(": ")
+    return replace(why, sentence=f"{verb(desired, speed)}, through a gap just wide enough: {who}")
 
 
 def verb(desired: float, speed: float) -> str:

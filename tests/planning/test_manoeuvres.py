@@ -12,7 +12,6 @@ from rig.sources.generated import REPLAYED
 QUICK = ("crossing_pedestrian",)
 """In the default suite; the others take as long."""
 OPEN = {
-    "narrow_street": "does not pass between a parked car and an open door 2.8 m apart",
     "cut_in": "six seconds after the cut-in its headway is 0.66 s, not yet 0.8",
 }
 """What the default planner does not master yet (docs/planning.md)."""
