@@ -26,7 +26,8 @@ U8 = npt.NDArray[np.uint8]
 
 _FASTEST = 60.0
 """No contact moves faster [m/s]."""
-_STEP = 1.0  # m; between the points of a motion that is looked up
+STEP = 1.0
+"""Between the points of a motion that is looked up [m]."""
 _BEYOND = 25.0  # m; so far ahead of a motion contact is looked for, to know whether it moves on
 
 
@@ -92,7 +93,7 @@ def meets(
         bound: Risk from which on it is contact [E_max].
     """
     s = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
-    want: F64 = np.asarray(_STEP * np.arange(int((s[-1] + _BEYOND) / _STEP) + 2), dtype=np.float64)
+    want: F64 = np.asarray(STEP * np.arange(int((s[-1] + _BEYOND) / STEP) + 2), dtype=np.float64)
     over = np.maximum(want - s[-1], 0.0)
     turned = np.unwrap(heading)
     at, first = np.unique(s, return_index=True)
@@ -100,10 +101,10 @@ def meets(
     py = np.interp(want, at, y[first]) + over * np.sin(turned[-1])
     ph = np.interp(want, at, turned[first])
     stays = np.zeros(1, dtype=bool)
-    risk = path_risk(volume, footprint, px[None], py[None], ph[None], _STEP, leaves=stays, r_hit=bound)
+    risk = path_risk(volume, footprint, px[None], py[None], ph[None], STEP, leaves=stays, r_hit=bound)
     risk = without(risk, pushers(volume, footprint, x, y, heading, t, bound), ~stays)
     ahead = risk.risk if risk.ahead is None else risk.ahead
-    contact = Contact.of(ahead, None if risk.who is None else risk.who[1], volume.starts, bound, _STEP)
-    j, cell = volume.slice_at(t), (s / _STEP).astype(np.intp)
+    contact = Contact.of(ahead, None if risk.who is None else risk.who[1], volume.starts, bound, STEP)
+    j, cell = volume.slice_at(t), (s / STEP).astype(np.intp)
     into = np.maximum(t - volume.starts[j], 0.0)
     return np.asarray(~(s < contact.distance[0, j, cell] + contact.rate[0, j, cell] * into))

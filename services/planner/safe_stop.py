@@ -10,6 +10,7 @@ import numpy as np
 
 from common.messages import Ego, Map, Plan, Risk, Route, Stamped
 from services.planner.bezier import Start
+from services.planner.contact import STEP
 from services.planner.footprint import Footprint
 from services.planner.settings import PlannerSettings
 from services.planner.stopping import first_contact
@@ -81,7 +82,8 @@ def safe_stop(
 
     motion = braking(settings.safe_stop_brake)
     if volume is not None:
-        footprint = Footprint.of(ego, settings.footprint_spacing, settings.flank_margin)
+        apart = max(float(np.diff(motion.distance).max()), STEP)
+        footprint = Footprint.of(ego, settings.footprint_spacing, settings.flank_margin, stride=apart)
         if first_contact(path, motion, volume, footprint, settings.r_hit) is not None:
             motion = braking(settings.tier_brake[-1])
     valid_for = settings.valid_for

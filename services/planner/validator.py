@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from common.geometry import wrap_angle
 from common.messages import Ego, Plan, Trajectory
-from services.planner.contact import meets
+from services.planner.contact import STEP, meets
 from services.planner.footprint import Footprint, timed_risk
 from services.planner.settings import PlannerSettings
 from services.planner.trajectory import brake_motion
@@ -35,7 +35,8 @@ def validate(plan: Plan, ego: Ego, volume: Volume | None, settings: PlannerSetti
     problem = _joint_problem(profile, tail, plan.valid_for)
     if problem or volume is None:
         return problem
-    footprint = Footprint.of(ego, settings.footprint_spacing, settings.flank_margin)
+    apart = max(float(np.hypot(np.diff(part.x), np.diff(part.y)).max()) for part in (profile, tail))
+    footprint = Footprint.of(ego, settings.footprint_spacing, settings.flank_margin, stride=max(apart, STEP))
     met = trajectory_risk(profile, volume, footprint, ego)
     start_risk, start_known = float(met[0][0]), bool(met[1][0])
     for name, part in (("profile", profile), ("tail", tail)):
