@@ -52,7 +52,7 @@ class Contact:
         """Find it in the risk of contact [n, S, p] of the sources `who`, slices starting at [S]; else NumPy alone."""
         who = np.full(risk.shape, NOBODY, dtype=np.uint8) if who is None else who
         if kernels is not None and not reference:
-            return Contact(*kernels.crossings(risk, who, starts, r_hit, step, FAR))
+            return Contact(*kernels.crossings(risk, who, starts, r_hit, step, FAR, _OVER))
         own = contact_distance(risk, r_hit, step)
         name = _carried(risk, who, r_hit)
         distance, rate, away = own.copy(), np.zeros_like(own), np.zeros_like(own)
@@ -62,11 +62,36 @@ class Contact:
             speed = np.clip((b - a) / np.diff(starts)[None, :, None], -_FASTEST, _FASTEST)
             rate[:, :-1] = np.where(same, speed, 0.0)
             distance[:, :-1] = np.where(same, a, np.minimum(a, b))
-            away = np.maximum(rate, 0.0)
+            away = np.maximum(_smooth(rate, np.diff(starts)), 0.0)
             alone = (rate[:, 1:] == 0.0) & (own[:, 1:] < FAR)
-            away[:, 1:] = np.where(alone, np.maximum(rate[:, :-1], 0.0), away[:, 1:])
-            away[:, :-1] = np.where(~same & (b < a), np.maximum(rate[:, 1:], 0.0), away[:, :-1])
+            moved = away.copy()  # who is alone now went as he came; who arrives goes on as he does then
+            away[:, 1:] = np.where(alone, moved[:, :-1], away[:, 1:])
+            away[:, :-1] = np.where(~same & (b < a), moved[:, 1:], away[:, :-1])
         return Contact(distance, rate, away)
+
+
+_OVER = 1  # slices before and after, over which a speed is read
+
+
+def _smooth(rate: F64, span: F64) -> F64:
+    """Rates [n, S, p] as means over as many slices before as after, up to `_OVER`, in which something moves steadily.
+
+    Between stations a crossing is known to a decimetre or two, which over one slice is half a metre per second.
+    """
+    out = rate.copy()
+    steady = rate != 0.0
+    for k in range(1, _OVER + 1):
+        j = np.arange(k, rate.shape[1] - 1 - k)
+        if not len(j):
+            break
+        weight = np.array([span[i - k : i + k + 1].sum() for i in j])
+        sums = sum(rate[:, j + i] * span[j + i][None, :, None] for i in range(-k, k + 1))
+        steady[:, j] &= (rate[:, j - k] != 0.0) & (rate[:, j + k] != 0.0)
+        inside = np.zeros_like(steady)
+        inside[:, j] = steady[:, j]
+        steady = inside
+        out[:, j] = np.where(steady[:, j], sums / weight[None, :, None], out[:, j])
+    return out
 
 
 def _carried(risk: F32, who: U8, r_hit: float) -> U8:

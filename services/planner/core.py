@@ -24,6 +24,7 @@ from services.planner.volume import Volume
 from services.planner.work import Work, advance
 
 _MOVING = 0.3  # m/s
+_STEERS = 1.0  # m/s; slower than this the yaw rate does not tell the steering
 _LINES_A_STEP = 128
 """How much of a new road is looked at in a step: most roads whole, and of a city so much that the plan is not late."""
 
@@ -140,12 +141,8 @@ class Planner:
                 and abs(planned.speed - own.speed) <= settings.follow_speed
                 and turned <= 0.15
             ):
-                # never far off what the vehicle does: a plan that runs ahead of it would be caught up with by a jolt
-                off_v, off_a = settings.lead_speed, settings.lead_accel
-                speed = min(max(planned.speed, own.speed - off_v, 0.0), own.speed + off_v)
-                accel = min(max(planned.acceleration, own.acceleration - off_a), own.acceleration + off_a)
-                return replace(planned, speed=speed, acceleration=accel), distance
-            if own.speed < 1.0:  # too slow for the yaw rate to tell the steering
+                return _led(planned, own, settings), distance
+            if own.speed < _STEERS:
                 return replace(own, curvature=planned.curvature), None
         return own, None
 
@@ -230,11 +227,38 @@ def _preparing(route: Route, road: Map) -> Work[Road]:
     )
 
 
+def _led(planned: Start, own: Start, settings: PlannerSettings) -> Start:
+    """The planned state, never far off what the vehicle does: a plan that runs ahead of it is caught up with by a jolt.
+
+    Along and across alike: the velocity by `lead_speed`, the acceleration by `lead_accel`, the place by `lead_side`.
+    """
+    off_v, off_a, off_d = settings.lead_speed, settings.lead_accel, settings.lead_side
+    speed = min(max(planned.speed, own.speed - off_v, 0.0), own.speed + off_v)
+    accel = min(max(planned.acceleration, own.acceleration - off_a), own.acceleration + off_a)
+    if own.speed < _STEERS:
+        return replace(planned, speed=speed, acceleration=accel)
+    c, s = np.cos(own.heading), np.sin(own.heading)
+    side = float(c * (planned.y - own.y) - s * (planned.x - own.x))
+    excess = side - min(max(side, -off_d), off_d)
+    turned = (planned.heading - own.heading + np.pi) % (2 * np.pi) - np.pi
+    turn = off_v / own.speed
+    bend = off_a / own.speed**2
+    return replace(
+        planned,
+        x=planned.x + float(s) * excess,
+        y=planned.y - float(c) * excess,
+        heading=planned.heading + min(max(turned, -turn), turn) - turned,
+        curvature=min(max(planned.curvature, own.curvature - bend), own.curvature + bend),
+        speed=speed,
+        acceleration=accel,
+    )
+
+
 def start_of(ego: Ego, max_curvature: float) -> Start:
     """State of the rear axle from the ego's; the curvature from its yaw rate where it moves."""
     half = 0.5 * ego.wheelbase
     speed = max(ego.speed, 0.0)
-    curvature = ego.yaw_rate / speed if speed > 1.0 else 0.0
+    curvature = ego.yaw_rate / speed if speed > _STEERS else 0.0
     return Start(
         ego.x - half * float(np.cos(ego.heading)),
         ego.y - half * float(np.sin(ego.heading)),

@@ -30,6 +30,7 @@ from services.planner.search import (
     LATER,
     REFERENCE,
     full_brake,
+    gentlest,
     lane_centre_distance,
     path_cost,
     search,
@@ -114,15 +115,12 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     )
     cost += goal_cost(paths, scene.road.lanes, _tracks_of(paths), _goal(scene), start.speed, settings)
     off = leaves_road(paths, scene.road.lanes, look.footprint.half_width, settings.lane_margin)
-    verdict = search(
-        field,
-        start,
-        settings,
-        cost,
-        lambda rest: lane_centre_distance(paths, scene.road.lanes, rest),
-        off,
-        np.char.startswith(np.array(paths.target), LATER),
-    )
+    narrow = np.char.startswith(np.array(paths.target), LATER)
+
+    def off_centre(rest: F64) -> F64:
+        return lane_centre_distance(paths, scene.road.lanes, rest)
+
+    verdict = search(field, start, settings, cost, off_centre, off, narrow)
 
     # what curves allow within 3 s counts as much as what risk allows; but nobody cuts corners to be faster in them
     near = paths.stations[None] <= 3.0 * np.maximum(verdict.desired, start.speed)[:, None] + 1.0
@@ -139,8 +137,8 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     tier_index = len(Tier.all(settings)) - 1
     if verdict.passed.any():
         chosen = int(np.argmax(score))
-        tier_index = int(verdict.tier[chosen])
-        tier = Tier.all(settings)[int(verdict.tier[chosen])]
+        tier = gentlest(field, start, verdict, chosen, settings, off_centre, narrow)
+        tier_index = tier.index
         wanted = _filtered(float(verdict.desired[chosen]), tier, scene, settings)
         target, motion = wanted, None
         for target in dict.fromkeys((wanted, float(verdict.desired[chosen]))):
@@ -376,7 +374,9 @@ def _filtered(desired: float, tier: Tier, scene: Scene, settings: PlannerSetting
     before = scene.memory.target_speed if scene.memory is not None else scene.start.speed
     target = desired
     if tier.index == 0 and abs(desired - before) < settings.target_band:
-        target = before + settings.target_filter * (desired - before)
+        # who is nearly as fast as that is in no haste: a moment's rise is not driven up and down again
+        steady = max(before, scene.start.speed) < desired < scene.start.speed + settings.target_steady
+        target = before + (settings.target_rise if steady else settings.target_filter) * (desired - before)
     standing = scene.start.speed < 0.1
     if desired < settings.stop_below or (
         standing and before < settings.stop_below and desired < settings.restart_above

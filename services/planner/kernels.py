@@ -292,12 +292,14 @@ def law(
     return out[0], out[1]
 
 
-def crossings(risk: F32, who: U8, starts: F64, r_hit: float, step: float, far: float) -> tuple[F64, F64, F64]:
+def crossings(
+    risk: F32, who: U8, starts: F64, r_hit: float, step: float, far: float, over: int
+) -> tuple[F64, F64, F64]:
     """Where contact begins at or beyond each station, how fast that moves, and how fast it moves away [n, S, p]."""
     out: F64 = np.empty((3, *risk.shape))
     n, slices, points = risk.shape
     q = contact.Crossing(
-        slices=slices, points=points, r_hit=r_hit, far=far, step=step, starts=starts, risk=risk, who=who,
+        slices=slices, points=points, over=over, r_hit=r_hit, far=far, step=step, starts=starts, risk=risk, who=who,
         hit=out[0], rate=out[1], away=out[2],
     )  # fmt: skip
     _launch(crossing_kernel, n, q)

@@ -16,7 +16,7 @@ Checks, each with the name under which a failure is reported:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -42,7 +42,8 @@ DT = 0.1
 FAILURES = ("", "contact", "law", "stop", "stays", "tight", "swerve")
 _CLEAR = 0.8  # m; short of a contact while moving
 _SOFT_AFTER = 2.0  # s
-_EASE, _EASE_S = 0.4, 4.0  # the share of the headway that must be there then, and how long until all of it is [s]
+_EASE, _EASE_S = 0.5, 4.0  # the share of the headway that must be there then, and how long until all of it is [s]
+_CLOSING = 0.5  # m/s; who closes in so fast must have all of it then
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class Tier:
     lateral: float  # [m/s²]
     crawl: float = 0.0  # … or the speed now, up to this [m/s]
     swept: bool = False  # whether what comes over the ego even if it stands is let be
+    clear: float = _CLEAR  # so far short of a contact it stays while it moves, less of what moves away [m]
 
     @staticmethod
     def all(settings: PlannerSettings) -> tuple[Tier, ...]:
@@ -76,6 +78,12 @@ class Tier:
             Tier(4, brake[2], jerk[2], False, 0.4, 0.8, lateral[2]),
             Tier(5, brake[3], jerk[3], False, 0.3, 0.6, lateral[3]),
         )
+
+    @staticmethod
+    def between(a: Tier, b: Tier, share: float, clear: float) -> Tier:
+        """As `b`, but only so much of the way from the limits of `a` [0, 1], and so far short of a contact [m]."""
+        mixed = {k: (1.0 - share) * getattr(a, k) + share * getattr(b, k) for k in ("brake", "jerk", "gain", "lateral")}
+        return replace(b, **mixed, clear=clear)
 
 
 @dataclass(frozen=True)
@@ -301,16 +309,18 @@ def constants(field: Field, start: Start, tier: Tier, settings: PlannerSettings)
         "up_comfort": max(settings.jerk, tier.jerk) * DT,
         "brake": tier.brake,
         "accel": settings.accel,
-        "hard": -1.05 * settings.tier_brake[0],
+        "hard": -settings.release_from,
         "jerk": settings.jerk,
         "hold_s": settings.hold_s,
-        "clear": _CLEAR,
+        "clear": tier.clear,
+        "least_clear": _CLEAR,
         "soft_after": _SOFT_AFTER,
         "lateral": _lateral(start, tier),
         "until": field.swept if tier.swept else 1e9,
         "headway": settings.headway,
         "ease": _EASE,
         "ease_s": _EASE_S,
+        "closing": _CLOSING,
         "gap": field.gap,
         "stop_brake": settings.stop_brake,
     }
@@ -374,7 +384,7 @@ def _roll_out(
             a_wanted = np.maximum(a_wanted, -0.15 - np.sqrt(2.0 * settings.jerk * v))
         a_wanted = np.where(rest & (v > 0.0), np.minimum(a_wanted, -0.15), a_wanted)
         a_wanted = np.minimum(np.maximum(a_wanted, -tier.brake), settings.accel)
-        up = np.where(a < -1.05 * settings.tier_brake[0], up_brake, np.where(a < 0.0, up_comfort, up_gas))
+        up = np.where(a < -settings.release_from, up_brake, np.where(a < 0.0, up_comfort, up_gas))
         a_new = a + np.minimum(np.maximum(a_wanted - a, down), up)
         mean = 0.5 * (a + a_new)
         v_new = v + mean * DT
@@ -415,7 +425,9 @@ def _check(
     moving = v > 0.05
     contact = field.contact if tier.soft else field.ahead
     hit = contact.distance.ravel().take(here) + contact.rate.ravel().take(here) * into[:, None]
-    bad = np.where(s + _CLEAR * moving < hit, 0, 1)
+    away = contact.away.ravel().take(here)
+    clear = np.maximum(tier.clear - away * away * (0.5 / settings.stop_brake), _CLEAR)
+    bad = np.where(s + clear * moving < hit, 0, 1)
     if tier.soft:
         law = field.law.take(here)
         starts = into < DT - 1e-9
@@ -428,8 +440,9 @@ def _check(
         vl, sl = v[late], s[late]
         way = vl * vl * (0.5 / settings.stop_brake) + sl
         ease = np.minimum(_EASE + (1.0 - _EASE) * (times[late, None] - _SOFT_AFTER) / _EASE_S, 1.0)
-        away = contact.away.ravel().take(here[late])
-        need = vl * settings.headway * np.where(vl <= away + 0.5, ease, 1.0) + way
+        away = away[late]
+        share = ease + (1.0 - ease) * np.clip((vl - away) / _CLOSING, 0.0, 1.0)
+        need = vl * settings.headway * share + way
         room = hit[late] - field.gap + away * away * (0.5 / settings.stop_brake)
         fast = (need > room) & (vl > 0.85 * away + 0.05)
         put = vl * settings.headway + way > field.stays.take((path * field.points)[None] + cell[late])

@@ -94,13 +94,7 @@ def _of_some(
     comfort, firm, *harder = Tier.all(settings)
 
     def both(path: Ints, tier: Tier) -> Verdict:
-        """The better of going on for good, and of braking to rest after the hold."""
-        go, stop = _highest_of(field, start, path, narrow, tier, settings, reference=reference)
-        rest = np.zeros(n)
-        rest[path] = stop.rest
-        stop.penalty[:] = settings.stop_off_centre_cost * (off_centre(rest)[path] > _OFF_CENTRE)
-        better = np.where(go.passed, go.desired, -np.inf) >= np.where(stop.passed, stop.desired - stop.penalty, -np.inf)
-        return Verdict(**{k: np.where(better, v, vars(stop)[k]) for k, v in vars(go).items()})
+        return _both(field, start, path, narrow, tier, settings, off_centre, reference=reference)
 
     verdict = _merged(_nothing(n, comfort, np.full(n, np.inf)), some, both(some, comfort))
     score = np.where(verdict.passed, verdict.desired - verdict.penalty - cost, -np.inf)
@@ -123,6 +117,74 @@ def _nothing(n: int, tier: Tier, hold: F64) -> Verdict:
     )
 
 
+def _both(
+    field: Field,
+    start: Start,
+    path: Ints,
+    narrow: Bools | None,
+    tier: Tier,
+    settings: PlannerSettings,
+    off_centre: Callable[[F64], F64],
+    *,
+    reference: bool = False,
+) -> Verdict:
+    """The better of going on for good, and of braking to rest after the hold."""
+    go, stop = _highest_of(field, start, path, narrow, tier, settings, reference=reference)
+    rest = np.zeros(len(field.s_max))
+    rest[path] = stop.rest
+    stop.penalty[:] = settings.stop_off_centre_cost * (off_centre(rest)[path] > _OFF_CENTRE)
+    better = np.where(go.passed, go.desired, -np.inf) >= np.where(stop.passed, stop.desired - stop.penalty, -np.inf)
+    return Verdict(**{k: np.where(better, v, vars(stop)[k]) for k, v in vars(go).items()})
+
+
+def gentlest(
+    field: Field,
+    start: Start,
+    verdict: Verdict,
+    chosen: int,
+    settings: PlannerSettings,
+    off_centre: Callable[[F64], F64],
+    narrow: Bools | None = None,
+) -> Tier:
+    """The tier in which the chosen path is driven; where that is the firm one, it is no firmer than need be.
+
+    Of `_FIRM_STEPS` from comfort to firm the first in which any target speed passes that keeps the gap all the time,
+    and in that the highest such, which `verdict` is told: the harder a brake is counted on, the later it begins, and
+    then it must be as hard as that. What is near leaves no time to brake harder later, should it do other than
+    predicted: there the firm brake counts all the more.
+    """
+    comfort, firm, *_ = tiers = Tier.all(settings)
+    if int(verdict.tier[chosen]) != firm.index:
+        return tiers[int(verdict.tier[chosen])]
+    path, best = np.array([chosen]), 1.0
+    in_s = float(field.contact.distance[chosen, :, 0].min()) / max(start.speed, 1.0)
+    near = float(np.clip((_FAR_S - in_s) / (_FAR_S - _NEAR_S), 0.0, 1.0))
+
+    def found(share: float) -> Verdict:
+        tier = Tier.between(comfort, firm, share, settings.gap)
+        return _both(field, start, path, narrow, tier, settings, off_centre)
+
+    low, high = 0, _FIRM_STEPS
+    while high - low > 1:
+        middle = (low + high) // 2
+        if found(middle / _FIRM_STEPS).passed[0]:
+            high, best = middle, middle / _FIRM_STEPS
+        else:
+            low = middle
+    now = (-start.acceleration - comfort.brake) / (firm.brake - comfort.brake)  # what brakes so goes on so
+    share = max(best + near * (1.0 - best), min(now, 1.0))
+    if share < 1.0:
+        told = found(share)
+        if told.passed[0]:
+            _merged(verdict, path, told)
+            return Tier.between(comfort, firm, share, settings.gap)
+    return firm
+
+
+_NEAR_S, _FAR_S = 1.5, 3.0
+"""Contact within the first needs the whole firm brake, beyond the second no more of it than suffices [s]."""
+_FIRM_STEPS = 16
+"""Brakes are told apart in so many steps from comfort to firm."""
 _SWERVE_GAIN_S = 0.5
 """A slice: what is met sooner by less than this is not known to be met sooner [s]."""
 

@@ -57,16 +57,19 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     jerk: Positive = 1.45  # in normal driving [m/s³]
     tau: Positive = 1.0  # time constant of the speed controller [s]
     target_filter: Fraction = 0.25  # share of a small change of the target speed taken each period
+    target_rise: Fraction = 0.1  # share of a small rise, where the ego is nearly as fast as that …
+    target_steady: NotNegative = 0.5  # … less than this below it [m/s]
     target_band: NotNegative = 1.5  # changes larger than this are taken at once [m/s]
     stop_below: NotNegative = 0.4  # target speeds below this are 0 [m/s]
     restart_above: NotNegative = 1.0  # target speed at which a standing ego starts [m/s]
 
     # braking tiers: comfort, firm, hard, emergency
-    tier_brake: tuple[float, float, float, float] = (1.45, 3.0, 5.0, 8.0)  # [m/s²]
+    tier_brake: tuple[float, float, float, float] = (1.4, 3.0, 5.0, 8.0)  # [m/s²]
     tier_jerk: tuple[float, float, float, float] = (1.45, 4.0, 12.0, 30.0)  # [m/s³]
     tier_lateral: tuple[float, float, float, float] = (1.15, 2.0, 3.5, 4.5)  # largest lateral acceleration [m/s²]
     crawl: NotNegative = 1.5  # whoever is beside, up to this speed it may be kept [m/s]
-    release_jerk: Positive = 10.0  # letting go of a brake harder than comfort [m/s³]
+    release_from: Positive = 1.5  # a brake harder than this [m/s²] …
+    release_jerk: Positive = 10.0  # … is let go fast [m/s³]
     hold_s: Positive = 1.5  # how long the target is held before the checked stop [s]
     horizon_s: Positive = 6.0  # [s]
 
@@ -95,8 +98,9 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     tail_brakes: tuple[float, ...] = (2.5, 4.0, 8.0)  # the first that keeps the tail free is taken [m/s²]
     follow_distance: Positive = 0.3  # replan from the previous plan's state if the ego is this near to it [m]
     follow_speed: Positive = 0.5  # and this near in speed [m/s]
-    lead_speed: NotNegative = 0.1  # so far that state may be off the ego's own speed [m/s]
-    lead_accel: NotNegative = 0.5  # and off its acceleration [m/s²]
+    lead_speed: NotNegative = 0.1  # so far that state may be off the ego's own velocity, along and across [m/s]
+    lead_accel: NotNegative = 0.5  # off its acceleration, along and across [m/s²]
+    lead_side: NotNegative = 0.1  # and beside it [m]
     max_risk_age: Positive = 0.3  # [s], transit included
     max_ego_age: Positive = 0.2  # [s]
     candidate_points: Annotated[int, Meta(ge=2, le=200)] = 36  # points of each candidate in the message

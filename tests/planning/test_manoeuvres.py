@@ -11,9 +11,7 @@ from rig.sources.generated import REPLAYED
 
 QUICK = ("crossing_pedestrian",)
 """In the default suite; the others take as long."""
-OPEN = {
-    "cut_in": "six seconds after the cut-in its headway is 0.66 s, not yet 0.8",
-}
+OPEN: dict[str, str] = {}
 """What the default planner does not master yet (docs/planning.md)."""
 NAMES = sorted(builtin_scenarios())
 

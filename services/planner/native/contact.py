@@ -9,6 +9,7 @@ Crossing = structure(
     """
     int slices;
     int points;
+    int over;             // slices before and after, over which a speed is read
     float r_hit;
     double far;
     double step;
@@ -53,7 +54,7 @@ SOURCE = Crossing.cpp + (
         double* h = hit + (long long)j * P; double* v = rate + (long long)j * P; double* u = away + (long long)j * P;
         const bool last = j + 1 >= S;
         if (h[0] >= p.far && (last || h[P] >= p.far)) {  // no contact, neither now nor next
-            for (int i = 0; i < P; ++i) { v[i] = 0.0; u[i] = 0.0; }
+            for (int i = 0; i < P; ++i) { v[i] = 0.0; u[i] = -1.0; }
             continue;
         }
         const double span = last ? 1.0 : p.starts[j + 1] - p.starts[j];
@@ -67,17 +68,35 @@ SOURCE = Crossing.cpp + (
                 if (a < p.far && b < p.far && same) {
                     r = (b - a) / span;
                     r = r < -60.0 ? -60.0 : (r > 60.0 ? 60.0 : r);
-                    off = r > 0.0 ? r : 0.0;
-                } else if (b < a) {
-                    from = b; arrives = true;
-                    if (j + 2 < S && h[i + 2 * P] < p.far && u[i + P] == u[i + 2 * P] && u[i + P] != 255.0) {
-                        double w = (h[i + 2 * P] - b) / (p.starts[j + 2] - p.starts[j + 1]);
-                        off = w > 60.0 ? 60.0 : (w > 0.0 ? w : 0.0);
-                    }
-                }
+                } else if (b < a) { from = b; arrives = true; }
             }
-            if (r == 0.0 && j > 0 && a < p.far && !arrives) off = v[i - P] > 0.0 ? v[i - P] : 0.0;
+            off = arrives ? 1.0 : a < p.far ? 0.0 : -1.0;  // for the last pass
             h[i] = from; v[i] = r; u[i] = off;
+        }
+    }
+    // how fast it moves away: over as many slices before as after, while it moves steadily
+    for (int j = 0; j + 1 < S; ++j) {
+        const double* v = rate + (long long)j * P; double* u = away + (long long)j * P;
+        for (int i = 0; i < P; ++i) {
+            if (v[i] == 0.0) continue;
+            double sum = v[i] * (p.starts[j + 1] - p.starts[j]), mean = v[i];
+            for (int k = 1; k <= p.over && j - k >= 0 && j + k < S - 1; ++k) {
+                const double before = v[i - (long long)k * P], after = v[i + (long long)k * P];
+                if (before == 0.0 || after == 0.0) break;
+                sum += before * (p.starts[j - k + 1] - p.starts[j - k]);
+                sum += after * (p.starts[j + k + 1] - p.starts[j + k]);
+                mean = sum / (p.starts[j + k + 1] - p.starts[j - k]);
+            }
+            u[i] = mean > 0.0 ? mean : 0.0;
+        }
+    }
+    // who is alone now went as he came; who arrives goes on as he does then
+    for (int j = 0; j < S; ++j) {
+        const double* v = rate + (long long)j * P; double* u = away + (long long)j * P;
+        for (int i = 0; i < P; ++i) {
+            if (v[i] != 0.0) continue;
+            if (u[i] > 0.5) u[i] = j + 1 < S && v[i + P] != 0.0 ? u[i + P] : 0.0;
+            else u[i] = u[i] > -0.5 && j > 0 && v[i - P] != 0.0 ? u[i - P] : 0.0;
         }
     }
 """

@@ -29,13 +29,15 @@ _FIELD = """
     double hard;          // decelerations beyond this are let go fast [m/s2]
     double jerk;
     double hold_s;
-    double clear;
+    double clear;         // short of a contact while moving, less of what moves away [m]
+    double least_clear;   // but never less than this [m]
     double soft_after;
     double lateral;       // largest lateral acceleration [m/s2]
     double until;         // checks end here [s]
     double headway;
     double ease;
     double ease_s;
+    double closing;       // who closes in so fast must have all of the headway [m/s]
     double gap;
     double stop_brake;
     const int* slice_of;  // [steps + 1]
@@ -107,7 +109,10 @@ _ONE = """
                 const long long here = ((long long)path * p.slices + p.slice_of[i]) * p.points + cell;
                 const double hit = p.hit[here] + p.rate[here] * p.into[i];
                 const bool moving = v > 0.05;
-                int bad = s + (moving ? p.clear : 0.0) < hit ? 0 : 1;
+                const double away = p.away[here];
+                double clear = p.clear - away * away * (0.5 / p.stop_brake);
+                clear = !moving ? 0.0 : clear > p.least_clear ? clear : p.least_clear;
+                int bad = s + clear < hit ? 0 : 1;
                 if (p.soft) {
                     double law = p.law[here];
                     if (p.into[i] < p.dt - 1e-9 && p.law_now[here] < law) law = p.law_now[here];
@@ -119,8 +124,9 @@ _ONE = """
                     if (t >= p.soft_after - 1e-9 && bad == 0 && moving) {
                         const double way = v * v * (0.5 / p.stop_brake) + s;
                         double ease = p.ease + (1.0 - p.ease) * (t - p.soft_after) / p.ease_s;
-                        const double away = p.away[here];
-                        ease = ease < 1.0 && v <= away + 0.5 ? ease : 1.0;
+                        ease = ease < 1.0 ? ease : 1.0;
+                        double closes = (v - away) / p.closing; closes = closes > 0.0 ? closes : 0.0;
+                        ease += (1.0 - ease) * (closes < 1.0 ? closes : 1.0);
                         const double need = v * p.headway * ease + way;
                         const double room = hit - p.gap + away * away * (0.5 / p.stop_brake);
                         if (need > room && v > 0.85 * away + 0.05) bad = 3;
