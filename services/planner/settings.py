@@ -64,7 +64,7 @@ class PlannerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields
     restart_above: NotNegative = 1.0  # target speed at which a standing ego starts [m/s]
 
     # braking tiers: comfort, firm, hard, emergency
-    tier_brake: tuple[float, float, float, float] = (1.4, 3.0, 5.0, 8.0)  # [m/s²]
+    tier_brake: tuple[float, float, float, float] = (1.38, 3.0, 5.0, 8.0)  # [m/s²]
     tier_jerk: tuple[float, float, float, float] = (1.45, 4.0, 12.0, 30.0)  # [m/s³]
     tier_lateral: tuple[float, float, float, float] = (1.15, 2.0, 3.5, 4.5)  # largest lateral acceleration [m/s²]
     crawl: NotNegative = 1.5  # whoever is beside, up to this speed it may be kept [m/s]
