@@ -50,6 +50,9 @@ _LEAVES = 0.6
 """A path whose offset changes by more than this leaves where the ego drives [m]."""
 
 
+_THEN = 0.1
+"""So much of the speed at which a path passes what stands counts beside what it allows now."""
+
 _SLOW, _GAIN = 10.0, 5.0
 """A path counts as no faster than so much above the speed now, or above `_SLOW`: none is reached at once [m/s]."""
 
@@ -129,6 +132,8 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     soon = max(start.speed, _SLOW) + _GAIN
     view = in_view(stands, look.risk, field.stays.reshape(len(cost), -1)[:, 0], look.s_max, settings)
     score = np.minimum(np.minimum(verdict.desired, curve), np.minimum(soon, view))
+    if stands is not None:  # where what is beside now binds all alike, what comes then tells them apart
+        score += _THEN * np.minimum(soon, view)
     score = score - settings.tier_cost * verdict.tier - verdict.penalty - cost
     if (verdict.tier > 1).any():
         score -= np.where(verdict.tier > 1, settings.squeeze_cost * _squeeze(look, start), 0.0)
