@@ -267,10 +267,6 @@ class LeftOut(Struct, frozen=True, array_like=True):
     reason: Name
 
 
-NO_BRAKE = "no brake stops before it"
-"""Reason for which a closed line is left out that the ego is bound to cross: it drives on."""
-
-
 class Risk(Message, frozen=True, kw_only=True):
     """The risk volume M. All but `volume` and `dominant` travels in the header; they are the raw body, in this order.
 

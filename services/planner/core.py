@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import structs
 
 from common.codec import RefusedError, check
-from common.messages import NO_BRAKE, Ego, Map, Plan, Risk, Route, Stamped
+from common.messages import Ego, Map, Plan, Risk, Route, Stamped
 from services.planner.backend import kernels
 from services.planner.bezier import Start
 from services.planner.cycle import Road, Scene, plan_default, plan_paper
@@ -100,7 +100,6 @@ class Planner:
         plan, new = (plan_paper if settings.name == "paper" else plan_default)(scene, settings)
         if settings.name == "default" and plan.desired_speed < settings.crawl and start.speed <= SLOW:
             plan, new, volume = _creeping(scene, plan, new, settings)
-        plan = _says_what_is_crossed(plan, risk.value)
         problem = validate(plan, ego.value, volume, settings)
         if problem:
             stop, stopped = self._stop(f"the plan was not fit to publish: {problem}", ego, risk, now_ns)
@@ -203,15 +202,6 @@ def _creeping(scene: Scene, plan: Plan, new: Memory, settings: PlannerSettings) 
             decision = through_a_gap(plan.decision, crept.desired_speed, start.speed)
             return structs.replace(crept, decision=decision, reason=decision.sentence), memory, alone
     return plan, new, scene.volume
-
-
-def _says_what_is_crossed(plan: Plan, risk: Risk) -> Plan:
-    """The plan, saying which closed lines were left out of the risk because no brake stops before them."""
-    crossed = [str(source.id) for source in risk.left_out if source.reason == NO_BRAKE]
-    if not crossed or plan.decision is None:
-        return plan
-    sentence = f"{plan.decision.sentence}; driving on over closed line {', '.join(crossed)}: {NO_BRAKE}"
-    return structs.replace(plan, decision=structs.replace(plan.decision, sentence=sentence), reason=sentence[:1000])
 
 
 def _preparing(route: Route, road: Map) -> Work[Road]:

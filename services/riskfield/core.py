@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from common.messages import Closures, Ego, Grid, Map, Prediction, Risk, Slot, Stamped
@@ -12,7 +10,7 @@ from common.risk_sources import StaticLine, dynamic_sources
 from services.riskfield.device import FieldDevice, resolve
 from services.riskfield.grid import grid_around
 from services.riskfield.packing import pack_objects
-from services.riskfield.selection import bound_to_cross, left_out
+from services.riskfield.selection import left_out
 from services.riskfield.settings import RiskfieldSettings
 from services.riskfield.slots import assign_slots, within_bytes
 from services.riskfield.static_layer import StaticLayer, pack_lines
@@ -51,7 +49,7 @@ class RiskField:
             prediction: What the objects will do; its capture is time 0.
             ego: Our own vehicle: where the grid lies, and the velocity that u is relative to.
             map: The road, None: unknown, then there are no static sources. The same object again costs nothing.
-            closures: Stop lines and lanes closed now; lines that the ego is bound to cross are left out.
+            closures: Stop lines and lanes closed now.
             t_offset: Slice 0 lies this long after the prediction's capture [s].
         """
         now = ego.value
@@ -61,10 +59,7 @@ class RiskField:
         sources = dynamic_sources(prediction.value, np.asarray(times) + t_offset, (now.vx, now.vy), self.risk)
         counts, omitted = left_out(sources, now)
         packed = pack_objects(sources, counts, grid, self.risk, self.settings.accuracy == "fast")
-        closed = () if closures is None else closures.ids
-        crossed = [] if map is None else bound_to_cross(map, closed, now, self.settings.hardest_brake)
-        gone = {line.id for line in crossed}
-        lines = self._lines(grid, map, [i for i in closed if i not in gone], now)
+        lines = self._lines(grid, map, closures, now)
         volume, codes = self._field.compute(grid, packed, pack_lines(lines, grid))
 
         names = [
@@ -73,7 +68,7 @@ class RiskField:
             for term in ("potential", "kinetic")
         ]
         names += [Slot(id=line.id, term="static", cls=-1, label=line.label) for line in lines]
-        omitted = within_bytes(crossed + omitted)
+        omitted = within_bytes(omitted)
         taken = 9 * len(times) + sum(len(e.reason) + 12 for e in omitted)
         slots, dominant, shared = assign_slots(codes, names, other_bytes=taken)
         return Risk(
@@ -87,12 +82,12 @@ class RiskField:
             dominant=dominant,
         )
 
-    def _lines(self, grid: Grid, map: Map | None, closed: Iterable[int], ego: Ego) -> tuple[StaticLine, ...]:
+    def _lines(self, grid: Grid, map: Map | None, closures: Closures | None, ego: Ego) -> tuple[StaticLine, ...]:
         if map is None:
             return ()
         if map is not self._map:
             self._map, self._layer = map, StaticLayer(map, self.risk)
-        return self._layer.within(grid, closed, ego)
+        return self._layer.within(grid, () if closures is None else closures.ids, ego)
 
 
 def _nobody() -> Prediction:

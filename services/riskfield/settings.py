@@ -27,6 +27,3 @@ class RiskfieldSettings(Settings, frozen=True, kw_only=True):
     accuracy: Literal["fast", "exact"] = "fast"
     device: Literal["auto", "cpu", "cuda"] = "auto"  # auto: CUDA where there is one
     threads: Annotated[int, Meta(ge=1, le=64)] = 1  # on the CPU, the slices are shared among them [-]
-    hardest_brake: Annotated[float, Meta(gt=0.0, le=20.0)] = (
-        8.0  # what no longer stops before a closed stop line [m/s²]
-    )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from common.geometry import distance_to_rectangle
-from common.messages import BLOCK, NO_BRAKE, NO_SLOT, Closures
+from common.messages import BLOCK, NO_SLOT, Closures
 from common.risk import RiskParameters, dynamic_energy, potential_energy, taper
 from common.risk_sources import dynamic_sources, risk_at_points, shares_at_points
 from services.riskfield import kernels, layout
@@ -33,12 +33,6 @@ def field(risk):
     return RiskField(RiskfieldSettings(dtype="float32", accuracy="exact", **SMALL), risk, "cpu")
 
 
-def holding(closures, r):
-    """What is closed, without the lines that the ego is bound to cross."""
-    crossed = {source.id for source in r.left_out if source.reason == NO_BRAKE}
-    return [i for i in closures.ids if i not in crossed]
-
-
 def reference(scene, r, closures, t_offset, p, *, whole=False):
     """Every source's share at every cell: {(id, term, line index or None): [slice, i, j]}.
 
@@ -48,7 +42,7 @@ def reference(scene, r, closures, t_offset, p, *, whole=False):
     prediction, ego, road = scene
     sources = dynamic_sources(prediction, np.array(r.slice_times) + t_offset, (ego.vx, ego.vy), p)
     counts, _ = left_out(sources, ego)
-    lines = StaticLayer(road, p).within(r.grid, holding(closures, r), ego)
+    lines = StaticLayer(road, p).within(r.grid, closures.ids, ego)
     X, Y = cell_centres(r.grid)
     found = {}
     for i in np.flatnonzero(counts):
@@ -139,7 +133,7 @@ def test_the_reference_of_these_tests_is_that_of_the_equations(field, risk):
         r = field.step(stamped(prediction), stamped(ego), road, closures, t_offset)
         cut, whole = (sum(reference(scene[0], r, closures, t_offset, risk, whole=w).values()) for w in (False, True))
         sources = dynamic_sources(prediction, np.array(r.slice_times) + t_offset, (ego.vx, ego.vy), risk)
-        lines = StaticLayer(road, risk).within(r.grid, holding(closures, r), ego)
+        lines = StaticLayer(road, risk).within(r.grid, closures.ids, ego)
         if left_out(sources, ego)[0].all():
             X, Y = cell_centres(r.grid)
             M = np.stack([risk_at_points(X, Y, sources, j, lines, risk) for j in range(len(r.slice_times))])
