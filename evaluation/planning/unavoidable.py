@@ -1,4 +1,4 @@
-"""Whether a drive was lost before it began: no motion on the limit of grip from its first state meets nobody."""
+"""Whether a drive was lost before it began: every constant acceleration on the limit of grip meets somebody."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def unavoidable(record: Recorder, collision_t: float) -> bool:
 
     From that state every constant acceleration on the circle of grip is driven at once, without reaction, plan or jerk,
     until the ego stands or the collision is 0.5 s past; the others move as they did. A collision later than 3 s into
-    the drive counts as avoidable. The family of motions is finite: it finds drives that were lost, and excuses none.
+    the drive counts as avoidable. The family of motions is finite, and nobody reacts to them: it points at drives that
+    were lost, it proves none, and takes nothing from the fault.
     """
     if not record.frames or not 0.0 <= collision_t <= WITHIN_S:
         return False

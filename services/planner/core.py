@@ -197,7 +197,9 @@ def _creeping(scene: Scene, plan: Plan, new: Memory, settings: PlannerSettings) 
     start = scene.start
     alone = nearest_alone(scene.volume, start.x, start.y, start.heading)
     if alone is not scene.volume:
-        crept, memory = plan_default(replace(scene, volume=alone, most=settings.crawl), settings)
+        crept, memory = plan_default(
+            replace(scene, volume=alone, most=settings.crawl, published=scene.volume), settings
+        )
         if crept.desired_speed > plan.desired_speed and plan.decision is not None:
             decision = through_a_gap(plan.decision, crept.desired_speed, start.speed)
             return structs.replace(crept, decision=decision, reason=decision.sentence), memory, alone

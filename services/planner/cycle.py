@@ -80,6 +80,7 @@ class Scene:
     volume: Volume
     memory: Memory | None  # the plan in force, if the ego follows it
     travelled: float  # how far the ego is along that plan's path [m]
+    published: Volume | None = None  # what is told of risk is read there, if `volume` is not what was published
     most: float = np.inf  # highest target speed, whatever is allowed [m/s]
 
 
@@ -327,14 +328,14 @@ def _road_end(scene: Scene, paths: Paths, tracks: npt.NDArray[np.intp]) -> F64:
             end[mine] = _way_to(paths, road.lanes.stations[last] - to_front)[mine]
     if not np.isfinite(road.lanes.end):
         return end
-    end = np.asarray(np.minimum(end, _way_to(paths, road.lanes.end - to_front)))
+    whole = _way_to(paths, road.lanes.end - to_front)
     goal_s, goal_d, radius = _goal(scene)
     if road.goal.stop or not paths.s[0, 0] < goal_s < road.lanes.end:
-        return end
+        return np.asarray(np.minimum(end, whole))
     at = np.argmax(paths.s >= goal_s, axis=1)
     there = np.where((paths.s >= goal_s).any(axis=1), at, paths.s.shape[1] - 1)
     through = np.abs(paths.d[np.arange(len(at)), there] - goal_d) <= radius
-    return np.asarray(np.where(through, 1e6, end))
+    return np.asarray(np.minimum(end, np.where(through, 1e6, whole)))
 
 
 def _cap(scene: Scene, paths: Paths, known: F64, road_end: F64, settings: PlannerSettings) -> Cap:
@@ -519,7 +520,11 @@ def _slice_risk(scene: Scene, look: _Sampled, chosen: int, motion: Motion) -> Sl
     paths, volume = look.paths, scene.volume
     station = np.clip(np.rint(motion.distance / paths.step).astype(np.intp), 0, paths.x.shape[1] - 1)
     slices = volume.slice_at(motion.t)
-    risk = look.risk.risk[chosen, slices, station]
+    felt = look.risk.risk[chosen]
+    if scene.published is not None:
+        px, py, heading = (q[chosen : chosen + 1] for q in (paths.x, paths.y, paths.heading))
+        felt = path_risk(scene.published, look.footprint, px, py, heading, paths.step).risk[0]
+    risk = felt[slices, station]
     t, value, x, y = [], [], [], []
     half = 0.5 * scene.ego.wheelbase
     for j in np.unique(slices):

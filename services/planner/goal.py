@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from services.planner.bezier import Paths
 from services.planner.lanes import RouteLanes
+from services.planner.search import LATER
 from services.planner.settings import PlannerSettings
 
 F64 = npt.NDArray[np.float64]
@@ -45,6 +46,7 @@ def goal_cost(
     here = float(paths.s[0, 0])
     n, p = paths.s.shape
     end = np.minimum(np.searchsorted(paths.s[0] - here, paths.length), p - 1)
+    end[[name.startswith(LATER) for name in paths.target]] = p - 1  # they change further on
     reached = np.minimum(end, np.argmax(paths.s >= goal_s, axis=1) + (p - 1) * ~(paths.s >= goal_s).any(axis=1))
     at = paths.d[np.arange(n), reached]
     away = np.maximum(np.abs(at - goal_d) - max(radius - _INSIDE, 0.3), 0.0)

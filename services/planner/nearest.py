@@ -9,7 +9,8 @@ and flat inside the body. Levels of tails fall with D², their curvature with D�
 So near a standing body, where the field is hollow or nearly so, its level counts no more than says how near it is:
 0.8 E_max (contact) 0.35 m from it, and not less than 0.75 further away; the speed law then has the gap crept through.
 What the ego drives towards (there the field falls along its heading), lines (closed ones, kerbs, barriers) and whoever
-moves keep what they have.
+moves keep what they have. So does everything near people on foot or on two wheels: a body behind them can hide their
+shape.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec.structs import replace
 
-from common.messages import BLOCK
+from common.messages import BLOCK, ObjectClass
 from services.planner.volume import Volume
 
 F32 = npt.NDArray[np.float32]
@@ -37,6 +38,8 @@ _LINE = 2.2  # E_max/m²; no body's field is so hollow
 _STEEP = 0.6  # E_max/m; inside a body the field is flatter, but for what stands close behind its face …
 _MOST = 1.3  # E_max; … and there it is higher
 _EDGE = 1.1  # E_max; what is next to a place that is made clear counts no more, or it would spread into it
+_EASILY_HURT = (ObjectClass.PEDESTRIAN, ObjectClass.BICYCLE, ObjectClass.MOTORCYCLE)
+_APART = 2  # blocks; so near to one of them nothing is lowered
 _STAYS_S = 2.0  # s; who changes a place by then does not stand there …
 _SAME = 0.05  # E_max; … by more than this
 
@@ -48,8 +51,8 @@ def nearest_alone(volume: Volume, x: float, y: float, heading: float) -> Volume:
         return volume
     i, j = (int(q[0]) for q in volume.coordinates(np.array([x]), np.array([y])))
     reach = int(_REACH / g.h)
-    rows = slice(max(i - reach, 0), min(i + reach, g.rows))
-    columns = slice(max(j - reach, 0), min(j + reach, g.columns))
+    rows = slice(max(i - reach, 0), max(min(i + reach, g.rows), 0))
+    columns = slice(max(j - reach, 0), max(min(j + reach, g.columns), 0))
     now = risk.volume[volume.first, rows, columns].astype(np.float32)
     if min(now.shape) < 3 or not (now >= _LEAST).any():
         return volume
@@ -67,10 +70,21 @@ def nearest_alone(volume: Volume, x: float, y: float, heading: float) -> Volume:
 
 
 def _bodies(volume: Volume, rows: slice, columns: slice) -> Bools:
-    """Where a body has the largest share, cell by cell of a window of the first slice."""
-    is_body = np.zeros(256, dtype=bool)
-    is_body[: len(volume.risk.slots)] = [slot.cls >= 0 for slot in volume.risk.slots]
-    blocks = is_body[volume.risk.dominant[volume.first]]
+    """Where a body has the largest share and nobody easily hurt is near, cell by cell of a window of the first slice.
+
+    Who is easily hurt and has the largest share nowhere may be anywhere: then there is no such place.
+    """
+    slots = volume.risk.slots
+    is_body, is_soft = np.zeros(256, dtype=bool), np.zeros(256, dtype=bool)
+    is_soft[: len(slots)] = [slot.cls in _EASILY_HURT for slot in slots]
+    is_body[: len(slots)] = [slot.cls >= 0 for slot in slots]
+    dominant = volume.risk.dominant[volume.first]
+    blocks = (is_body & ~is_soft)[dominant]
+    if not np.isin(np.flatnonzero(is_soft), dominant).all():
+        blocks = np.zeros_like(blocks)
+    for at in np.argwhere(is_soft[dominant]):
+        low, high = np.maximum(at - _APART, 0), at + _APART + 1
+        blocks[low[0] : high[0], low[1] : high[1]] = False
     i, j = np.arange(rows.start, rows.stop) // BLOCK, np.arange(columns.start, columns.stop) // BLOCK
     return np.asarray(blocks[i[:, None], j])
 

@@ -28,6 +28,8 @@ _LONG = 18.0  # m; what blocks the path for longer (the ego's own length counted
 _FREE = 10.0  # m; so much of the lane must be free behind it
 LEAST = 0.2
 """Share of its cost that leaving the lane keeps for who has waited."""
+_BESIDE = 12.0
+"""What stands nearer than this may be what the ego is going round [m]."""
 OUT = 0.05
 """The share for who has pulled out: to make more room beside what stands is then hardly dearer than to make less."""
 
@@ -131,7 +133,8 @@ def priced(settings: PlannerSettings, stands: Blocked | None, share: float) -> P
 def patience(stands: Blocked | None, before: float, speed: float, dt: float, settings: PlannerSettings) -> float:
     """What leaving the lane still costs, as a share: all of it until the ego is slow, then less with the time it waits.
 
-    It does not rise again before the lane is free: who has begun to go round goes on.
+    It does not rise again before the lane is free, or what is next in it is no longer what was waited for: who has
+    begun to go round goes on, but not past a queue further ahead.
 
     Args:
         stands: What stands in the lane.
@@ -143,7 +146,7 @@ def patience(stands: Blocked | None, before: float, speed: float, dt: float, set
     if stands is None:
         return 1.0
     if not stands.alone:
-        return before
+        return before if stands.distance < _BESIDE else 1.0
     return min(before, max(before - dt / settings.patience * (speed < settings.patience_speed), LEAST))
 
 

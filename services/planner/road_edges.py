@@ -29,7 +29,8 @@ def leaves_road(paths: Paths, lanes: RouteLanes, half_width: float, margin: floa
     """
     at = lanes.index(paths.s)
     ahead = paths.stations[None] <= paths.length[:, None]
-    further = np.abs(paths.d) > abs(float(paths.d[0, 0])) + _FURTHER
+    d0 = float(paths.d[0, 0])
+    further = (paths.d > max(d0, 0.0) + _FURTHER) | (paths.d < min(d0, 0.0) - _FURTHER)
     asked = ahead & further & lanes.mapped[at]
     if not asked.any():
         return np.zeros(len(paths.x), dtype=bool)

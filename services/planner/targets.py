@@ -20,7 +20,7 @@ F64 = npt.NDArray[np.float64]
 _BESIDE = 5.0  # m; lanes further from the ego are no targets
 _SAME = 0.5  # m; a lane this near to the reference line is no other target
 _TRACKS = 3
-_ON_IT = 1.0  # m; nearer than this to a lane's centre the ego is in it
+_ON_IT, _IN_IT = 1.0, 1.75  # m; nearer than this to a lane's centre the ego is on it, or still in it
 
 _APART = 2.0  # m; lanes whose centres are nearer than this are not changed between
 _EVERY = 10.0  # m; between the places at which a change may begin
@@ -49,7 +49,7 @@ def targets(
         travelled: How far the ego is along its path [m].
 
     Returns:
-        Targets and lengths [m] of the n paths; and how many of them are new moves.
+        Targets and lengths [m] of the n paths, and from which one on they are the move under way.
     """
     found, lengths = [], []
     every = kinds(lanes, s, d, speed, settings, None if memory is None else memory.target_name)
@@ -106,7 +106,7 @@ def near_tracks(lanes: RouteLanes, s: float, d: float, longest: float) -> list[i
     for k, track in enumerate(lanes.tracks):
         if track.first <= here <= track.last - 2:
             away = abs(float(track.centre[here]) - d)
-            if lanes.ends(track.leaves) and track.leaves < there and (away > _ON_IT or abs(d) < _ON_IT):
+            if lanes.ends(track.leaves) and track.leaves < there and (away > _IN_IT or abs(d) < _ON_IT):
                 continue
             if away <= _BESIDE and np.abs(track.centre[here : max(there, here + 1) + 1]).max() > _SAME:
                 found.append((away, k))
@@ -125,7 +125,9 @@ def _later(lanes: RouteLanes, near: list[int], s: F64, d: float, speed: float, w
     found = []
     for at, k in dict.fromkeys((*every, *begun)):
         track, over = lanes.tracks[k], _towards(lanes, lanes.tracks[k], at)
-        if over is not None and s[0] <= at + move <= lanes.stations[track.leaves]:
+        if over is None or not s[0] <= at + move <= lanes.stations[track.leaves]:
+            continue
+        if over < 0 or at + move <= lanes.stations[lanes.tracks[over].leaves]:
             to = Target("", *np.zeros((3, len(s)))) if over < 0 else _along(lanes, lanes.tracks[over], "", s)
             found.append(_change(_along(lanes, track, "", s), to, s, at, move, f"{LATER}{at:.0f} from {k}"))
     return found

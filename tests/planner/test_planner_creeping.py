@@ -76,6 +76,16 @@ def test_whoever_moves_counts_as_before(v: float):
     assert np.array_equal(before.risk.volume, after.risk.volume)
 
 
+@given(st.floats(-3.0, 6.0), st.floats(0.15, 0.9), st.sampled_from([4, 5, 6]))
+@settings(max_examples=20, deadline=None)
+def test_nothing_is_lowered_near_people_on_foot_or_on_two_wheels(x: float, gap: float, cls: int):
+    """A body right behind somebody hides how near he stands."""
+    somebody = box(x, 1.75 - gap - 0.3, length=0.6, width=0.6, id=7, cls=cls)
+    before, after = volumes([*street(0.5), box(x, 2.65, id=50), somebody])
+    fx, fy = np.meshgrid(np.linspace(x - 1.0, x + 1.0, 15), np.linspace(0.0, 1.75, 15))
+    assert np.array_equal(before.sample(fx, fy)[0][0], after.sample(fx, fy)[0][0])
+
+
 @given(st.floats(1.2, 2.5), st.floats(0.0, 1.0))
 @settings(max_examples=20, deadline=None)
 def test_lines_count_as_before(y: float, away: float):

@@ -63,6 +63,7 @@ def test_patience_ends_with_waiting_stays_so_while_something_stands_there_and_co
     assert share == LEAST
     assert patience(there, 1.0, 9.0, 0.05, SETTINGS) == 1.0
     assert patience(queue, share, 1.0, 0.05, SETTINGS) == share
+    assert patience(Blocked(25.0, False), share, 1.0, 0.05, SETTINGS) == 1.0
     assert patience(queue, 1.0, 0.0, 9.0, SETTINGS) == 1.0
     assert patience(there, OUT, 1.0, 0.05, SETTINGS) == OUT < LEAST
     assert patience(None, share, 1.0, 0.05, SETTINGS) == 1.0

@@ -62,6 +62,15 @@ def test_who_is_off_the_road_may_come_back_but_not_go_further():
     assert off.tolist() == [True, False, False, False]
 
 
+def test_who_is_on_one_side_does_not_leave_the_road_on_the_other():
+    route = straight_route()
+    reference = ReferenceLine.of(route.reference)
+    both = [lane(1, 0.0, left_neighbour=2, left_same_direction=False), lane(2, 3.5, against=True)]
+    road = RouteLanes.of(reference, route, Map(lanes=both))
+    off = leaves_road(_paths(road, reference, [-3.2, 0.0, 3.2], d0=3.2), road, HALF, 0.15)
+    assert off.tolist() == [True, False, False]
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**31), speed=st.floats(1.0, 14.0))
 def test_a_path_off_the_road_passes_only_where_no_path_on_it_does(seed: int, speed: float):
