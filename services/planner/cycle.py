@@ -129,7 +129,7 @@ def plan_default(scene: Scene, settings: PlannerSettings) -> tuple[Plan, Memory]
     # what curves allow within 3 s counts as much as what risk allows; but nobody cuts corners to be faster in them
     near = paths.stations[None] <= 3.0 * np.maximum(verdict.desired, start.speed)[:, None] + 1.0
     curve = np.where(near & (look.cap.cause != CAUSES.index("limit")), look.cap.speed, np.inf).min(axis=1)
-    curve = np.minimum(curve, curve[0])
+    curve = np.minimum(curve, curve[np.array(paths.target) == REFERENCE].max())
     soon = max(start.speed, _SLOW) + _GAIN
     view = in_view(stands, look.risk, field.stays.reshape(len(cost), -1)[:, 0], look.s_max, settings)
     score = np.minimum(np.minimum(verdict.desired, curve), np.minimum(soon, view))
