@@ -29,7 +29,7 @@ _STAYS_S = 2.0  # s
 CORNER = 0.3
 """Of the bumpers, the outer part belongs to the flanks [m]."""
 _AHEAD = 1.0  # m; so much of the flanks, from the bumper on, meets what the ego drives into
-_THIN = 0.3  # m; so thin is where a closed line alone is contact
+_THIN = 0.2  # m; so thin is where a closed line alone is contact, on a grid of a quarter metre
 _TAIL = 1.5  # m; largest distance between the samples behind
 _NEVER = 1e3  # E_max
 
