@@ -96,7 +96,7 @@ def run(
     ]
     known = [done.of(task.name, planners) for task in tasks]
     found = {i: entries for i, entries in enumerate(known) if len(entries) == len(planners)}
-    todo = [i for i in range(len(tasks)) if i not in found]
+    left = [i for i in range(len(tasks)) if i not in found]
     if found:
         console.print(f"{len(found)} of {len(tasks)} scenarios stand in {checkpoint}", highlight=False, soft_wrap=True)
 
@@ -108,9 +108,9 @@ def run(
         return _result(command, seed, not_loaded, scenarios, began)
 
     kept = began
-    with _progress(console, len(todo)) as tell:
-        for k, outcome in outcomes([tasks[i] for i in todo], jobs=jobs, cluster=cluster):
-            i = todo[k]
+    with _progress(console, len(left)) as tell:
+        for k, outcome in outcomes([tasks[i] for i in left], jobs=jobs, cluster=cluster):
+            i = left[k]
             found[i] = outcome
             done.add(tasks[i].name, outcome)
             for planner, entry in outcome.items():

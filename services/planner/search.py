@@ -128,8 +128,14 @@ def _both(
     *,
     reference: bool = False,
 ) -> Verdict:
-    """The better of going on for good, and of braking to rest after the hold."""
-    go, stop = _highest_of(field, start, path, narrow, tier, settings, reference=reference)
+    """The better of going on for good, and of braking to rest after the hold; more speeds are tried on narrow paths."""
+    go, stop = highest(field, start, path, tier, settings, reference=reference)
+    fine = np.zeros(len(path), dtype=bool) if narrow is None else narrow[path]
+    if fine.any():
+        finer = highest(field, start, path[fine], tier, settings, coarse=_NARROW, reference=reference)
+        for all_of_it, found in zip((go, stop), finer, strict=True):
+            for name, value in vars(found).items():
+                getattr(all_of_it, name)[fine] = value
     rest = np.zeros(len(field.s_max))
     rest[path] = stop.rest
     stop.penalty[:] = settings.stop_off_centre_cost * (off_centre(rest)[path] > _OFF_CENTRE)
@@ -171,7 +177,8 @@ def gentlest(
             high, best = middle, middle / _FIRM_STEPS
         else:
             low = middle
-    now = (-start.acceleration - comfort.brake) / (firm.brake - comfort.brake)  # what brakes so goes on so
+    between = max(firm.brake - comfort.brake, 1e-9)
+    now = (-start.acceleration - comfort.brake) / between  # what brakes so goes on so
     share = max(best + near * (1.0 - best), min(now, 1.0))
     if share < 1.0:
         told = found(share)
@@ -205,27 +212,6 @@ def last_to_meet(steps: Ints, moved: F64) -> int:
     """
     sooner = steps < steps.max() - round(_SWERVE_GAIN_S / DT)
     return int(np.lexsort((-steps, np.round(moved, 1), sooner))[0])
-
-
-def _highest_of(
-    field: Field,
-    start: Start,
-    path: Ints,
-    narrow: Bools | None,
-    tier: Tier,
-    settings: PlannerSettings,
-    *,
-    reference: bool,
-) -> tuple[Verdict, Verdict]:
-    """The same as `highest`, with more speeds tried on narrow paths."""
-    fine = np.zeros(len(path), dtype=bool) if narrow is None else narrow[path]
-    go, stop = highest(field, start, path, tier, settings, reference=reference)
-    if fine.any():
-        finer = highest(field, start, path[fine], tier, settings, coarse=_NARROW, reference=reference)
-        for all_of_it, found in ((go, finer[0]), (stop, finer[1])):
-            for name, value in vars(found).items():
-                getattr(all_of_it, name)[fine] = value
-    return go, stop
 
 
 def highest(

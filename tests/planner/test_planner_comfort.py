@@ -145,3 +145,17 @@ def test_a_steady_lead_is_followed_without_hunting():
     )
     assert d.sign_changes(0.1) <= 1  # 5 a minute
     assert np.abs(d.acceleration).max() < 1.5
+
+
+def test_a_comfort_brake_as_hard_as_the_firm_one_is_a_configuration_like_any_other():
+    alike = PlannerSettings(tier_brake=(3.0, 3.0, 5.0, 8.0))
+    firm = 0
+    for ahead in np.arange(10.0, 45.0, 1.2):
+        risk = np.zeros((1, STARTS.size, POINTS))
+        risk[:, :, int(ahead / STEP) :] = 1.0
+        field, start = field_of(risk), Start(0, 0, 0, 0, 10.0, 0)
+        verdict = search(field, start, alike, np.zeros(1), far_from_centre)
+        tier = gentlest(field, start, verdict, 0, alike, far_from_centre)
+        firm += tier.index == 1
+        assert tier.index != 1 or tier.brake == 3.0
+    assert firm
